@@ -1,0 +1,487 @@
+"""Camera models: from a point in the camera frame to a pixel, with analytic Jacobians, and back.
+
+Camera frame: x right, y down, z forward. Pixels: integer coordinates are pixel centres.
+
+Every model is one scalar kernel, ``project_point``; arrays, factors and ``unproject`` loop over it. The three
+fisheye models are one formula with more or fewer terms. With a = atan2(hypot(x, y), z),
+s = 1 + k0 a^2 + k1 a^4 + ..., (u, v) = a s (x, y) / hypot(x, y) and rho2 = u^2 + v^2:
+
+    u' = u + p0 (rho2 + 2 u^2) + 2 p1 u v + s0 rho2 + s1 rho2^2        px = fx u' + cx
+    v' = v + p1 (rho2 + 2 v^2) + 2 p0 u v + s2 rho2 + s3 rho2^2        py = fy v' + cy
+
+- Kannala-Brandt 4: four radial terms, here k1..k4 as OpenCV's fisheye and Kalibr's equidistant name them.
+- Fisheye62: six radial terms k0..k5 and p0, p1 (Project Aria, Meta Quest). p0 and p1 stand the other way round
+  from OpenCV's p1 and p2.
+- Fisheye624: Fisheye62 and the thin prism s0..s3.
+
+Pinhole radial-tangential is OpenCV's five-coefficient model, in OpenCV's order k1 k2 p1 p2 k3.
+
+A point has a pixel where the model is one-to-one: up to the angle at which the radial function stops being
+monotonic, in front of the camera for the pinhole, and where the tangential part does not fold. Everything else
+is masked, never clipped or folded back.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+
+import numpy as np
+import numpy.typing as npt
+
+from factors.kernel import kernel
+
+FloatArray = npt.NDArray[np.float64]
+BoolArray = npt.NDArray[np.bool_]
+
+_PINHOLE, _KB4, _F62, _F624 = 0, 1, 2, 3  # model ids, as the kernels know them
+_LIMIT_SAMPLES = 720  # a quarter of a degree: a polynomial of degree 12 does not turn twice within one
+_NEWTON_STEPS = 50
+
+
+@kernel
+def _n_radial(model_id: int) -> int:
+    return 4 if model_id == _KB4 else 6
+
+
+@kernel
+def _radial_slope(model_id: int, theta: FloatArray, radius: float) -> float:
+    """d(radius * s(radius)) / d radius: positive where the model is one-to-one along a ray."""
+    w = radius * radius
+    if model_id == _PINHOLE:
+        return 1.0 + w * (3.0 * theta[4] + w * (5.0 * theta[5] + w * 7.0 * theta[8]))
+    n = _n_radial(model_id)
+    slope = 0.0
+    for i in range(n - 1, -1, -1):
+        slope = (slope + (2 * i + 3) * theta[4 + i]) * w
+    return 1.0 + slope
+
+
+@kernel
+def field_limit(model_id: int, theta: FloatArray) -> float:
+    """Where the radial function stops being monotonic: the angle off the axis in rad (fisheye; at most pi), or
+    the normalised radius hypot(x, y) / z (pinhole; infinite where it never stops)."""
+    pinhole = model_id == _PINHOLE
+    below = 0.0
+    for i in range(1, _LIMIT_SAMPLES + 1):
+        angle = i * math.pi / _LIMIT_SAMPLES
+        if pinhole:
+            angle *= 0.5  # half angle of the pinhole's field, turned into its radius below
+            if i == _LIMIT_SAMPLES:
+                break
+        above = math.tan(angle) if pinhole else angle
+        if not _radial_slope(model_id, theta, above) > 0.0:
+            for _ in range(60):
+                middle = 0.5 * (below + above)
+                if _radial_slope(model_id, theta, middle) > 0.0:
+                    below = middle
+                else:
+                    above = middle
+            return below
+        below = above
+    return math.inf if pinhole else math.pi
+
+
+@kernel
+def _distort_fisheye(
+    model_id: int, theta: FloatArray, u: float, v: float
+) -> tuple[float, float, float, float, float, float]:
+    """Tangential and thin-prism part: u', v' and du'/du, du'/dv, dv'/du, dv'/dv."""
+    if model_id == _KB4:
+        return u, v, 1.0, 0.0, 0.0, 1.0
+    p0, p1 = theta[10], theta[11]
+    rho2 = u * u + v * v
+    ud = u + p0 * (rho2 + 2.0 * u * u) + 2.0 * p1 * u * v
+    vd = v + p1 * (rho2 + 2.0 * v * v) + 2.0 * p0 * u * v
+    cross = 2.0 * (p0 * v + p1 * u)
+    uu, uv = 1.0 + 6.0 * p0 * u + 2.0 * p1 * v, cross
+    vu, vv = cross, 1.0 + 6.0 * p1 * v + 2.0 * p0 * u
+    if model_id == _F624:
+        s0, s1, s2, s3 = theta[12], theta[13], theta[14], theta[15]
+        ud += rho2 * (s0 + s1 * rho2)
+        vd += rho2 * (s2 + s3 * rho2)
+        du = 2.0 * s0 + 4.0 * s1 * rho2
+        dv = 2.0 * s2 + 4.0 * s3 * rho2
+        uu, uv, vu, vv = uu + du * u, uv + du * v, vu + dv * u, vv + dv * v
+    return ud, vd, uu, uv, vu, vv
+
+
+@kernel
+def _distort_pinhole(
+    theta: FloatArray, x: float, y: float
+) -> tuple[float, float, float, float, float, float]:
+    """OpenCV's radial-tangential distortion of normalised coordinates, and its four derivatives."""
+    k1, k2, p1, p2, k3 = theta[4], theta[5], theta[6], theta[7], theta[8]
+    r2 = x * x + y * y
+    radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
+    slope = 2.0 * (k1 + r2 * (2.0 * k2 + r2 * 3.0 * k3))  # d radial / d r2, times two
+    ud = x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x)
+    vd = y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y
+    cross = x * y * slope + 2.0 * (p1 * x + p2 * y)
+    return (
+        ud,
+        vd,
+        radial + x * x * slope + 2.0 * p1 * y + 6.0 * p2 * x,
+        cross,
+        cross,
+        radial + y * y * slope + 6.0 * p1 * y + 2.0 * p2 * x,
+    )
+
+
+@kernel
+def _project_fisheye(
+    model_id: int,
+    theta: FloatArray,
+    limit: float,
+    x: float,
+    y: float,
+    z: float,
+    J_point: FloatArray,
+    J_theta: FloatArray,
+    with_theta: bool,
+) -> tuple[float, float, bool]:
+    r2 = x * x + y * y
+    r = math.sqrt(r2)
+    angle = math.atan2(r, z)
+    if not angle < limit:
+        return math.nan, math.nan, False
+    n = _n_radial(model_id)
+    w = angle * angle
+    s = 0.0
+    for i in range(n - 1, -1, -1):
+        s = (s + theta[4 + i]) * w
+    slope = _radial_slope(model_id, theta, angle)
+    cos_azimuth = x / r if r > 0.0 else 0.0
+    sin_azimuth = y / r if r > 0.0 else 0.0
+    scale = angle * (1.0 + s) / r if r > 0.0 else 1.0 / z  # (u, v) = scale * (x, y)
+    u, v = scale * x, scale * y
+    ud, vd, uu, uv, vu, vv = _distort_fisheye(model_id, theta, u, v)
+    if not uu * vv - uv * vu > 0.0:
+        return math.nan, math.nan, False
+    fx, fy = theta[0], theta[1]
+
+    # d(u, v) / d(x, y, z): r * d scale / d r = turn, and d scale / d z = fall
+    turn = slope * z / (r2 + z * z) - scale
+    fall = -slope / (r2 + z * z)
+    u_x = scale + cos_azimuth * cos_azimuth * turn
+    u_y = cos_azimuth * sin_azimuth * turn
+    v_y = scale + sin_azimuth * sin_azimuth * turn
+    J_point[0, 0], J_point[0, 1] = fx * (uu * u_x + uv * u_y), fx * (uu * u_y + uv * v_y)
+    J_point[1, 0], J_point[1, 1] = fy * (vu * u_x + vv * u_y), fy * (vu * u_y + vv * v_y)
+    J_point[0, 2], J_point[1, 2] = fx * fall * (uu * x + uv * y), fy * fall * (vu * x + vv * y)
+
+    if with_theta:
+        J_theta[0, 0], J_theta[0, 1], J_theta[0, 2], J_theta[0, 3] = ud, 0.0, 1.0, 0.0
+        J_theta[1, 0], J_theta[1, 1], J_theta[1, 2], J_theta[1, 3] = 0.0, vd, 0.0, 1.0
+        along_u = fx * (uu * cos_azimuth + uv * sin_azimuth)
+        along_v = fy * (vu * cos_azimuth + vv * sin_azimuth)
+        power = angle
+        for i in range(n):
+            power *= w
+            J_theta[0, 4 + i], J_theta[1, 4 + i] = along_u * power, along_v * power
+        if model_id != _KB4:
+            rho2 = u * u + v * v
+            J_theta[0, 10], J_theta[1, 10] = fx * (rho2 + 2.0 * u * u), fy * 2.0 * u * v
+            J_theta[0, 11], J_theta[1, 11] = fx * 2.0 * u * v, fy * (rho2 + 2.0 * v * v)
+            if model_id == _F624:
+                J_theta[0, 12], J_theta[0, 13], J_theta[0, 14], J_theta[0, 15] = (
+                    fx * rho2,
+                    fx * rho2 * rho2,
+                    0.0,
+                    0.0,
+                )
+                J_theta[1, 12], J_theta[1, 13], J_theta[1, 14], J_theta[1, 15] = (
+                    0.0,
+                    0.0,
+                    fy * rho2,
+                    fy * rho2 * rho2,
+                )
+    return fx * ud + theta[2], fy * vd + theta[3], True
+
+
+@kernel
+def _project_pinhole(
+    theta: FloatArray,
+    limit: float,
+    x: float,
+    y: float,
+    z: float,
+    J_point: FloatArray,
+    J_theta: FloatArray,
+    with_theta: bool,
+) -> tuple[float, float, bool]:
+    if not z > 0.0:
+        return math.nan, math.nan, False
+    xn, yn = x / z, y / z
+    r2 = xn * xn + yn * yn
+    if not r2 < limit * limit:
+        return math.nan, math.nan, False
+    ud, vd, ux, uy, vx, vy = _distort_pinhole(theta, xn, yn)
+    if not ux * vy - uy * vx > 0.0:
+        return math.nan, math.nan, False
+    fx, fy = theta[0], theta[1]
+    J_point[0, 0], J_point[0, 1] = fx * ux / z, fx * uy / z
+    J_point[1, 0], J_point[1, 1] = fy * vx / z, fy * vy / z
+    J_point[0, 2] = -(J_point[0, 0] * xn + J_point[0, 1] * yn)
+    J_point[1, 2] = -(J_point[1, 0] * xn + J_point[1, 1] * yn)
+    if with_theta:
+        J_theta[0, 0], J_theta[0, 1], J_theta[0, 2], J_theta[0, 3] = ud, 0.0, 1.0, 0.0
+        J_theta[1, 0], J_theta[1, 1], J_theta[1, 2], J_theta[1, 3] = 0.0, vd, 0.0, 1.0
+        J_theta[0, 4], J_theta[1, 4] = fx * xn * r2, fy * yn * r2
+        J_theta[0, 5], J_theta[1, 5] = fx * xn * r2 * r2, fy * yn * r2 * r2
+        J_theta[0, 6], J_theta[1, 6] = fx * 2.0 * xn * yn, fy * (r2 + 2.0 * yn * yn)
+        J_theta[0, 7], J_theta[1, 7] = fx * (r2 + 2.0 * xn * xn), fy * 2.0 * xn * yn
+        J_theta[0, 8], J_theta[1, 8] = fx * xn * r2 * r2 * r2, fy * yn * r2 * r2 * r2
+    return fx * ud + theta[2], fy * vd + theta[3], True
+
+
+@kernel
+def project_point(
+    model_id: int,
+    theta: FloatArray,
+    limit: float,
+    x: float,
+    y: float,
+    z: float,
+    J_point: FloatArray,
+    J_theta: FloatArray,
+    with_theta: bool,
+) -> tuple[float, float, bool]:
+    """Pixel of one point in the camera frame, and whether there is one.
+
+    ``limit`` is ``field_limit(model_id, theta)``. Writes d pixel / d point into J_point (2, 3) and, if
+    ``with_theta``, d pixel / d theta into J_theta (2, K); both are left as they were where there is no pixel.
+    """
+    if model_id == _PINHOLE:
+        return _project_pinhole(theta, limit, x, y, z, J_point, J_theta, with_theta)
+    return _project_fisheye(model_id, theta, limit, x, y, z, J_point, J_theta, with_theta)
+
+
+@kernel
+def _invert_radial(model_id: int, theta: FloatArray, limit: float, target: float) -> float:
+    """The radius (angle of a fisheye) below ``limit`` with radius * s(radius) = target; NaN where there is
+    none. Newton's method, kept inside a bracket that each step narrows."""
+    low, high = 0.0, limit
+    if math.isinf(limit):
+        high = max(1.0, target)
+        while _radial(model_id, theta, high) < target:
+            high *= 2.0
+    elif not target < _radial(model_id, theta, limit):
+        return math.nan
+    radius = min(target, 0.5 * (low + high))
+    for _ in range(_NEWTON_STEPS):
+        excess = _radial(model_id, theta, radius) - target
+        if excess > 0.0:
+            high = radius
+        else:
+            low = radius
+        step = excess / _radial_slope(model_id, theta, radius)
+        following = radius - step
+        if not low <= following <= high:
+            following = 0.5 * (low + high)
+        if abs(following - radius) <= 1e-16 * radius:
+            return following
+        radius = following
+    return radius
+
+
+@kernel
+def _radial(model_id: int, theta: FloatArray, radius: float) -> float:
+    """radius * s(radius)."""
+    w = radius * radius
+    if model_id == _PINHOLE:
+        return radius * (1.0 + w * (theta[4] + w * (theta[5] + w * theta[8])))
+    s = 0.0
+    for i in range(_n_radial(model_id) - 1, -1, -1):
+        s = (s + theta[4 + i]) * w
+    return radius * (1.0 + s)
+
+
+@kernel
+def _undistort_fisheye(model_id: int, theta: FloatArray, ud: float, vd: float) -> tuple[float, float, bool]:
+    """Newton's method on the tangential and thin-prism part."""
+    u, v = ud, vd
+    for _ in range(_NEWTON_STEPS):
+        uf, vf, uu, uv, vu, vv = _distort_fisheye(model_id, theta, u, v)
+        det = uu * vv - uv * vu
+        if not det > 0.0:
+            return u, v, False
+        du = (vv * (ud - uf) - uv * (vd - vf)) / det
+        dv = (uu * (vd - vf) - vu * (ud - uf)) / det
+        u, v = u + du, v + dv
+        if abs(du) + abs(dv) <= 1e-15 * (abs(u) + abs(v)):
+            return u, v, True
+    return u, v, abs(du) + abs(dv) < 1e-12
+
+
+@kernel
+def _undistort_pinhole(theta: FloatArray, limit: float, ud: float, vd: float) -> tuple[float, float, bool]:
+    """Newton's method on the whole distortion, from the solution of its radial part."""
+    distance = math.hypot(ud, vd)
+    if distance == 0.0:
+        x, y = 0.0, 0.0
+    else:
+        radius = _invert_radial(_PINHOLE, theta, limit, distance)
+        if math.isnan(radius):  # only the tangential part can bring it back inside
+            radius = 0.95 * limit
+        x, y = ud * radius / distance, vd * radius / distance
+    for _ in range(_NEWTON_STEPS):
+        uf, vf, ux, uy, vx, vy = _distort_pinhole(theta, x, y)
+        det = ux * vy - uy * vx
+        if not det > 0.0:
+            return x, y, False
+        dx = (vy * (ud - uf) - uy * (vd - vf)) / det
+        dy = (ux * (vd - vf) - vx * (ud - uf)) / det
+        x, y = x + dx, y + dy
+        if abs(dx) + abs(dy) <= 1e-15 * (abs(x) + abs(y)):
+            break
+    return x, y, abs(dx) + abs(dy) < 1e-12 and x * x + y * y < limit * limit
+
+
+@kernel
+def unproject_point(
+    model_id: int, theta: FloatArray, limit: float, px: float, py: float
+) -> tuple[float, float, float, bool]:
+    """Unit bearing of one pixel in the camera frame, and whether the model has one."""
+    ud, vd = (px - theta[2]) / theta[0], (py - theta[3]) / theta[1]
+    if not (math.isfinite(ud) and math.isfinite(vd)):
+        return math.nan, math.nan, math.nan, False
+    if model_id == _PINHOLE:
+        x, y, valid = _undistort_pinhole(theta, limit, ud, vd)
+        norm = math.sqrt(x * x + y * y + 1.0)
+        if not valid:
+            return math.nan, math.nan, math.nan, False
+        return x / norm, y / norm, 1.0 / norm, True
+    u, v, valid = _undistort_fisheye(model_id, theta, ud, vd)
+    rho = math.hypot(u, v)
+    angle = _invert_radial(model_id, theta, limit, rho) if valid else math.nan
+    if math.isnan(angle):
+        return math.nan, math.nan, math.nan, False
+    if rho == 0.0:
+        return 0.0, 0.0, 1.0, True
+    sine = math.sin(angle) / rho
+    return u * sine, v * sine, math.cos(angle), True
+
+
+@kernel
+def _project_points(
+    model_id: int,
+    theta: FloatArray,
+    points_in_camera: FloatArray,
+    pixels_px: FloatArray,
+    valid: BoolArray,
+    J_point: FloatArray,
+    J_theta: FloatArray,
+    with_jacobians: bool,
+) -> None:
+    limit = field_limit(model_id, theta)
+    for i in range(len(points_in_camera)):
+        row = i if with_jacobians else 0
+        pixels_px[i, 0], pixels_px[i, 1], valid[i] = project_point(
+            model_id,
+            theta,
+            limit,
+            points_in_camera[i, 0],
+            points_in_camera[i, 1],
+            points_in_camera[i, 2],
+            J_point[row],
+            J_theta[row],
+            with_jacobians,
+        )
+
+
+@kernel
+def _unproject_pixels(
+    model_id: int, theta: FloatArray, pixels_px: FloatArray, bearings: FloatArray, valid: BoolArray
+) -> None:
+    limit = field_limit(model_id, theta)
+    for i in range(len(pixels_px)):
+        bearings[i, 0], bearings[i, 1], bearings[i, 2], valid[i] = unproject_point(
+            model_id, theta, limit, pixels_px[i, 0], pixels_px[i, 1]
+        )
+
+
+def _rows(array: npt.ArrayLike, columns: int, name: str) -> FloatArray:
+    rows = np.ascontiguousarray(array, dtype=np.float64)
+    if rows.ndim != 2 or rows.shape[1] != columns:
+        raise ValueError(f"{name}.shape={rows.shape}, expected (N, {columns})")
+    return rows
+
+
+@dataclass(frozen=True)
+class CameraModel:
+    """One of the camera models above. ``parameter_names`` gives the order of the parameter vector theta."""
+
+    name: str
+    model_id: int
+    parameter_names: tuple[str, ...]
+
+    @property
+    def n_parameters(self) -> int:
+        return len(self.parameter_names)
+
+    def project(self, points_in_camera: npt.ArrayLike, theta: npt.ArrayLike) -> tuple[FloatArray, BoolArray]:
+        """Pixels (N, 2) of points (N, 3) in the camera frame; a mask (N,) that is False, with the pixel NaN,
+        where the point has no pixel. Scale does not matter: bearings will do for points.
+
+        Raises ValueError for arrays of another shape."""
+        points, parameters = _rows(points_in_camera, 3, "points_in_camera"), self._theta(theta)
+        pixels, valid = np.empty((len(points), 2)), np.empty(len(points), dtype=np.bool_)
+        scratch_point, scratch_theta = np.empty((1, 2, 3)), np.empty((1, 2, self.n_parameters))
+        _project_points(self.model_id, parameters, points, pixels, valid, scratch_point, scratch_theta, False)
+        return pixels, valid
+
+    def project_with_jacobians(
+        self, points_in_camera: npt.ArrayLike, theta: npt.ArrayLike
+    ) -> tuple[FloatArray, BoolArray, FloatArray, FloatArray]:
+        """``project``, and d pixel / d point (N, 2, 3) and d pixel / d theta (N, 2, K), NaN where masked.
+
+        Raises ValueError for arrays of another shape."""
+        points, parameters = _rows(points_in_camera, 3, "points_in_camera"), self._theta(theta)
+        pixels, valid = np.empty((len(points), 2)), np.empty(len(points), dtype=np.bool_)
+        J_point = np.full((len(points), 2, 3), np.nan)
+        J_theta = np.full((len(points), 2, self.n_parameters), np.nan)
+        _project_points(self.model_id, parameters, points, pixels, valid, J_point, J_theta, True)
+        return pixels, valid, J_point, J_theta
+
+    def unproject(self, pixels_px: npt.ArrayLike, theta: npt.ArrayLike) -> tuple[FloatArray, BoolArray]:
+        """Unit bearings (N, 3) in the camera frame of pixels (N, 2); a mask (N,) that is False, with the
+        bearing NaN, where no point of the valid field has that pixel.
+
+        Raises ValueError for arrays of another shape."""
+        pixels, parameters = _rows(pixels_px, 2, "pixels_px"), self._theta(theta)
+        bearings, valid = np.empty((len(pixels), 3)), np.empty(len(pixels), dtype=np.bool_)
+        _unproject_pixels(self.model_id, parameters, pixels, bearings, valid)
+        return bearings, valid
+
+    def max_angle_rad(self, theta: npt.ArrayLike) -> float:
+        """Half angle of the valid field: no point further off the axis has a pixel."""
+        limit = field_limit(self.model_id, self._theta(theta))
+        return math.atan(limit) if self.model_id == _PINHOLE else limit
+
+    def _theta(self, theta: npt.ArrayLike) -> FloatArray:
+        parameters = np.ascontiguousarray(theta, dtype=np.float64)
+        if parameters.shape != (self.n_parameters,):
+            raise ValueError(
+                f"theta.shape={parameters.shape}, expected ({self.n_parameters},) for {self.name}: "
+                + " ".join(self.parameter_names)
+            )
+        return parameters
+
+
+_FOCAL_AND_CENTRE = ("fx", "fy", "cx", "cy")
+_RADIAL_6_TANGENTIAL_2 = ("k0", "k1", "k2", "k3", "k4", "k5", "p0", "p1")
+
+PINHOLE_RADTAN = CameraModel("pinhole_radtan", _PINHOLE, (*_FOCAL_AND_CENTRE, "k1", "k2", "p1", "p2", "k3"))
+KANNALA_BRANDT4 = CameraModel("kannala_brandt4", _KB4, (*_FOCAL_AND_CENTRE, "k1", "k2", "k3", "k4"))
+FISHEYE62 = CameraModel("fisheye62", _F62, (*_FOCAL_AND_CENTRE, *_RADIAL_6_TANGENTIAL_2))
+FISHEYE624 = CameraModel(
+    "fisheye624", _F624, (*_FOCAL_AND_CENTRE, *_RADIAL_6_TANGENTIAL_2, "s0", "s1", "s2", "s3")
+)
+
+CAMERA_MODELS: Mapping[str, CameraModel] = MappingProxyType(
+    {model.name: model for model in (FISHEYE62, KANNALA_BRANDT4, PINHOLE_RADTAN, FISHEYE624)}
+)
+"""Every model by name. A model listed here gets all the tests of ``tests/test_camera_models.py``."""
