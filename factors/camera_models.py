@@ -31,7 +31,7 @@ from types import MappingProxyType
 import numpy as np
 import numpy.typing as npt
 
-from factors.kernel import kernel
+from factors.kernel import inlined, kernel
 
 FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
@@ -41,22 +41,24 @@ _LIMIT_SAMPLES = 720  # a quarter of a degree: a polynomial of degree 12 does no
 _NEWTON_STEPS = 50
 
 
-@kernel
-def _n_radial(model_id: int) -> int:
-    return 4 if model_id == _KB4 else 6
+@inlined
+def _radial(model_id: int, theta: FloatArray, radius: float) -> float:
+    """radius * s(radius), the distance from the principal point in units of the focal length."""
+    w = radius * radius
+    if model_id == _PINHOLE:
+        return radius * (1.0 + w * (theta[4] + w * (theta[5] + w * theta[8])))
+    high = 0.0 if model_id == _KB4 else w * (theta[8] + w * theta[9])
+    return radius * (1.0 + w * (theta[4] + w * (theta[5] + w * (theta[6] + w * (theta[7] + high)))))
 
 
-@kernel
+@inlined
 def _radial_slope(model_id: int, theta: FloatArray, radius: float) -> float:
     """d(radius * s(radius)) / d radius: positive where the model is one-to-one along a ray."""
     w = radius * radius
     if model_id == _PINHOLE:
         return 1.0 + w * (3.0 * theta[4] + w * (5.0 * theta[5] + w * 7.0 * theta[8]))
-    n = _n_radial(model_id)
-    slope = 0.0
-    for i in range(n - 1, -1, -1):
-        slope = (slope + (2 * i + 3) * theta[4 + i]) * w
-    return 1.0 + slope
+    high = 0.0 if model_id == _KB4 else w * (11.0 * theta[8] + w * 13.0 * theta[9])
+    return 1.0 + w * (3.0 * theta[4] + w * (5.0 * theta[5] + w * (7.0 * theta[6] + w * (9.0 * theta[7] + high))))
 
 
 @kernel
@@ -84,7 +86,7 @@ def field_limit(model_id: int, theta: FloatArray) -> float:
     return math.inf if pinhole else math.pi
 
 
-@kernel
+@inlined
 def _distort_fisheye(
     model_id: int, theta: FloatArray, u: float, v: float
 ) -> tuple[float, float, float, float, float, float]:
@@ -108,10 +110,8 @@ def _distort_fisheye(
     return ud, vd, uu, uv, vu, vv
 
 
-@kernel
-def _distort_pinhole(
-    theta: FloatArray, x: float, y: float
-) -> tuple[float, float, float, float, float, float]:
+@inlined
+def _distort_pinhole(theta: FloatArray, x: float, y: float) -> tuple[float, float, float, float, float, float]:
     """OpenCV's radial-tangential distortion of normalised coordinates, and its four derivatives."""
     k1, k2, p1, p2, k3 = theta[4], theta[5], theta[6], theta[7], theta[8]
     r2 = x * x + y * y
@@ -130,7 +130,7 @@ def _distort_pinhole(
     )
 
 
-@kernel
+@inlined
 def _project_fisheye(
     model_id: int,
     theta: FloatArray,
@@ -147,15 +147,10 @@ def _project_fisheye(
     angle = math.atan2(r, z)
     if not angle < limit:
         return math.nan, math.nan, False
-    n = _n_radial(model_id)
-    w = angle * angle
-    s = 0.0
-    for i in range(n - 1, -1, -1):
-        s = (s + theta[4 + i]) * w
     slope = _radial_slope(model_id, theta, angle)
-    cos_azimuth = x / r if r > 0.0 else 0.0
-    sin_azimuth = y / r if r > 0.0 else 0.0
-    scale = angle * (1.0 + s) / r if r > 0.0 else 1.0 / z  # (u, v) = scale * (x, y)
+    per_r = 1.0 / r if r > 0.0 else 0.0
+    cos_azimuth, sin_azimuth = x * per_r, y * per_r
+    scale = _radial(model_id, theta, angle) * per_r if r > 0.0 else 1.0 / z  # (u, v) = scale * (x, y)
     u, v = scale * x, scale * y
     ud, vd, uu, uv, vu, vv = _distort_fisheye(model_id, theta, u, v)
     if not uu * vv - uv * vu > 0.0:
@@ -163,8 +158,8 @@ def _project_fisheye(
     fx, fy = theta[0], theta[1]
 
     # d(u, v) / d(x, y, z): r * d scale / d r = turn, and d scale / d z = fall
-    turn = slope * z / (r2 + z * z) - scale
     fall = -slope / (r2 + z * z)
+    turn = -fall * z - scale
     u_x = scale + cos_azimuth * cos_azimuth * turn
     u_y = cos_azimuth * sin_azimuth * turn
     v_y = scale + sin_azimuth * sin_azimuth * turn
@@ -177,8 +172,8 @@ def _project_fisheye(
         J_theta[1, 0], J_theta[1, 1], J_theta[1, 2], J_theta[1, 3] = 0.0, vd, 0.0, 1.0
         along_u = fx * (uu * cos_azimuth + uv * sin_azimuth)
         along_v = fy * (vu * cos_azimuth + vv * sin_azimuth)
-        power = angle
-        for i in range(n):
+        power, w = angle, angle * angle
+        for i in range(4 if model_id == _KB4 else 6):
             power *= w
             J_theta[0, 4 + i], J_theta[1, 4 + i] = along_u * power, along_v * power
         if model_id != _KB4:
@@ -201,7 +196,7 @@ def _project_fisheye(
     return fx * ud + theta[2], fy * vd + theta[3], True
 
 
-@kernel
+@inlined
 def _project_pinhole(
     theta: FloatArray,
     limit: float,
@@ -237,7 +232,7 @@ def _project_pinhole(
     return fx * ud + theta[2], fy * vd + theta[3], True
 
 
-@kernel
+@inlined
 def project_point(
     model_id: int,
     theta: FloatArray,
@@ -285,18 +280,6 @@ def _invert_radial(model_id: int, theta: FloatArray, limit: float, target: float
             return following
         radius = following
     return radius
-
-
-@kernel
-def _radial(model_id: int, theta: FloatArray, radius: float) -> float:
-    """radius * s(radius)."""
-    w = radius * radius
-    if model_id == _PINHOLE:
-        return radius * (1.0 + w * (theta[4] + w * (theta[5] + w * theta[8])))
-    s = 0.0
-    for i in range(_n_radial(model_id) - 1, -1, -1):
-        s = (s + theta[4 + i]) * w
-    return radius * (1.0 + s)
 
 
 @kernel

@@ -12,3 +12,10 @@ def kernel(function: F) -> F:
     """Compile ``function`` with numba: cached on disk, without the GIL, IEEE division, fused multiply-add."""
     compiled: F = numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})(function)
     return compiled
+
+
+def inlined(function: F) -> F:
+    """Like ``kernel``, and pasted into its callers: for the innermost functions, where a call with array
+    arguments would cost more than the arithmetic."""
+    compiled: F = numba.njit(inline="always", error_model="numpy", fastmath={"contract"})(function)
+    return compiled

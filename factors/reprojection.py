@@ -1,0 +1,475 @@
+"""The reprojection error of board corners, in two grains of one measurement.
+
+    residual = pi(camera_T_ref * ref_T_body * body_T_board * corner; theta) - pixel
+
+``CornerReprojectionFactor`` is one corner with GTSAM's own noise models: the reference, and the researcher's tool.
+``FusedReprojectionFactor`` is all corners of a view, or of all the views of a camera, as one factor with the same
+error, gradient, Hessian and optimum.
+
+What makes the fused one fast: one kernel sums w [J r]^T [J r] of each view in the tangent of its camera_T_board
+(and theta), 7 columns instead of 13; ``factors.moments`` carries the sums over to the variables.
+
+A corner without a pixel under the current estimate (outside the model's valid field) has GTSAM's cheirality
+error: twice the focal length on both axes, with zero Jacobian.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+import gtsam
+import numpy as np
+import numpy.typing as npt
+
+from factors.camera_models import CameraModel, field_limit, project_point
+from factors.kernel import inlined, kernel
+from factors.moments import chain, transport, triangular_factor
+from factors.rigid import adjoint_of_inverse, compose
+from factors.robust import GAUSSIAN, RobustKernel, robust_loss_and_weight
+
+FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
+
+_CORNERS_PER_TASK = 8192  # below this a thread costs more than it saves
+
+
+@dataclass(frozen=True)
+class CornerViews:
+    """The corners a camera saw. View v holds rows ``view_start[v]:view_start[v + 1]`` of the corner columns.
+
+    view_start: (V + 1,) first row of each view, and the number of rows.
+    corners_m: (N, 3) corners in the board frame.
+    corners_px: (N, 2) their measured pixels.
+    sigma_px: standard deviation of a measured coordinate.
+
+    Raises ValueError where the shapes do not fit."""
+
+    view_start: IntArray
+    corners_m: FloatArray
+    corners_px: FloatArray
+    sigma_px: float = 1.0
+
+    def __post_init__(self) -> None:
+        n = len(self.corners_m)
+        if self.corners_m.shape != (n, 3) or self.corners_px.shape != (n, 2):
+            raise ValueError(
+                f"{self.corners_m.shape=}, {self.corners_px.shape=}, expected (N, 3) and (N, 2) with one N"
+            )
+        if len(self.view_start) < 2 or self.view_start[0] != 0 or self.view_start[-1] != n:
+            raise ValueError(f"view_start must run from 0 to N={n} over at least one view")
+        if not self.sigma_px > 0.0:
+            raise ValueError(f"{self.sigma_px=}, expected a positive standard deviation")
+
+    @property
+    def n_views(self) -> int:
+        return len(self.view_start) - 1
+
+
+@dataclass(frozen=True)
+class ViewMoments:
+    """What the corners of each view say, in the tangent of its camera_T_board (right-handed perturbation).
+
+    moments: (V, D, D) sum of w [J r]^T [J r], whitened, w the robust weight. Columns: tangent (6), theta (K or
+    none), residual (1).
+    loss: (V,) sum of the robust losses; the factor's error.
+    n_invalid: (V,) corners that have no pixel."""
+
+    moments: FloatArray
+    loss: FloatArray
+    n_invalid: IntArray
+
+
+@inlined
+def _corner_residual(
+    model_id: int,
+    theta: FloatArray,
+    limit: float,
+    T: FloatArray,
+    X: float,
+    Y: float,
+    Z: float,
+    measured_x: float,
+    measured_y: float,
+    rows: FloatArray,
+    J_point: FloatArray,
+    J_theta: FloatArray,
+    with_theta: bool,
+) -> bool:
+    """Write [J r] of the corner (X, Y, Z) in the board frame, in px, into rows (2, D); columns as in ViewMoments,
+    T = camera_T_board."""
+    x = T[0, 0] * X + T[0, 1] * Y + T[0, 2] * Z + T[0, 3]
+    y = T[1, 0] * X + T[1, 1] * Y + T[1, 2] * Z + T[1, 3]
+    z = T[2, 0] * X + T[2, 1] * Y + T[2, 2] * Z + T[2, 3]
+    px, py, valid = project_point(model_id, theta, limit, x, y, z, J_point, J_theta, with_theta)
+    last = rows.shape[1] - 1
+    if not valid:
+        rows[:] = 0.0
+        rows[0, last] = rows[1, last] = 2.0 * theta[0]
+        return False
+    for i in range(2):
+        a, b, c = J_point[i, 0], J_point[i, 1], J_point[i, 2]
+        gx = a * T[0, 0] + b * T[1, 0] + c * T[2, 0]
+        gy = a * T[0, 1] + b * T[1, 1] + c * T[2, 1]
+        gz = a * T[0, 2] + b * T[1, 2] + c * T[2, 2]
+        rows[i, 0], rows[i, 1], rows[i, 2] = Y * gz - Z * gy, Z * gx - X * gz, X * gy - Y * gx
+        rows[i, 3], rows[i, 4], rows[i, 5] = gx, gy, gz
+        if with_theta:
+            for k in range(len(theta)):
+                rows[i, 6 + k] = J_theta[i, k]
+    rows[0, last], rows[1, last] = px - measured_x, py - measured_y
+    return True
+
+
+@kernel
+def _sum_views(
+    model_id: int,
+    theta: FloatArray,
+    camera_T_board: FloatArray,
+    view_start: IntArray,
+    corners_m: FloatArray,
+    corners_px: FloatArray,
+    sigma_px: float,
+    kernel_id: int,
+    kernel_parameter: float,
+    with_theta: bool,
+    with_moments: bool,
+    first_view: int,
+    end_view: int,
+    moments: FloatArray,
+    loss: FloatArray,
+    n_invalid: IntArray,
+) -> None:
+    limit = field_limit(model_id, theta)
+    J_point, J_theta = np.empty((2, 3)), np.empty((2, len(theta)))
+    columns = 7 + len(theta) if with_theta else 7
+    rows, total = np.empty((2, columns)), np.empty((columns, columns))
+    last = columns - 1
+    for v in range(first_view, end_view):
+        T = camera_T_board[v]
+        total[:] = 0.0
+        loss_of_view, invalid = 0.0, 0
+        for n in range(view_start[v], view_start[v + 1]):
+            invalid += not _corner_residual(
+                model_id,
+                theta,
+                limit,
+                T,
+                corners_m[n, 0],
+                corners_m[n, 1],
+                corners_m[n, 2],
+                corners_px[n, 0],
+                corners_px[n, 1],
+                rows,
+                J_point,
+                J_theta,
+                with_theta,
+            )
+            distance = math.sqrt(rows[0, last] ** 2 + rows[1, last] ** 2) / sigma_px
+            rho, weight = robust_loss_and_weight(kernel_id, kernel_parameter, distance)
+            loss_of_view += rho
+            if with_moments:
+                scale = weight / (sigma_px * sigma_px)
+                for a in range(columns):
+                    u, w = scale * rows[0, a], scale * rows[1, a]
+                    for b in range(a, columns):
+                        total[a, b] += u * rows[0, b] + w * rows[1, b]
+        loss[v], n_invalid[v] = loss_of_view, invalid
+        if with_moments:
+            for a in range(columns):
+                for b in range(a, columns):
+                    moments[v, a, b] = moments[v, b, a] = total[a, b]
+
+
+@cache
+def _threads() -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(os.cpu_count(), thread_name_prefix="reprojection")
+
+
+def _tasks(view_start: IntArray) -> list[tuple[int, int]]:
+    """Ranges of views with about as many corners each, no more than there are cores."""
+    n_tasks = min(os.cpu_count() or 1, max(1, int(view_start[-1]) // _CORNERS_PER_TASK))
+    bounds = np.searchsorted(view_start, np.linspace(0, view_start[-1], n_tasks + 1)[1:-1])
+    edges = [0, *(int(b) for b in bounds), len(view_start) - 1]
+    return list(itertools.pairwise(edges))
+
+
+def view_moments(
+    views: CornerViews,
+    camera_T_board: FloatArray,
+    model: CameraModel,
+    theta: FloatArray,
+    *,
+    robust: RobustKernel = GAUSSIAN,
+    with_theta: bool = False,
+    with_moments: bool = True,
+) -> ViewMoments:
+    """Sum the corners of every view at camera_T_board (V, 4, 4), on all cores.
+
+    The result does not depend on the number of cores. Without ``with_moments`` only losses and counts are there
+    (moments has the shape (0, D, D))."""
+    columns = 7 + model.n_parameters * with_theta
+    n_views = views.n_views
+    moments = np.empty((n_views if with_moments else 0, columns, columns))
+    loss, n_invalid = np.empty(n_views), np.empty(n_views, dtype=np.int64)
+
+    def run(task: tuple[int, int]) -> None:
+        _sum_views(
+            model.model_id,
+            theta,
+            camera_T_board,
+            views.view_start,
+            views.corners_m,
+            views.corners_px,
+            views.sigma_px,
+            robust.kernel_id,
+            robust.parameter,
+            with_theta,
+            with_moments,
+            *task,
+            moments,
+            loss,
+            n_invalid,
+        )
+
+    tasks = _tasks(views.view_start)
+    if len(tasks) == 1:
+        run(tasks[0])
+    else:
+        list(_threads().map(run, tasks))
+    return ViewMoments(moments, loss, n_invalid)
+
+
+Jacobians = Any  # GTSAM's JacobianVector, or None for a value-only call
+Evaluate = Callable[[gtsam.CustomFactor, gtsam.Values, Jacobians], FloatArray]
+
+
+@dataclass(frozen=True)
+class _Variables:
+    """Where the residual's four arguments come from: each a key, or a constant."""
+
+    camera_T_ref_key: int
+    body_T_board_key: int
+    ref_T_body: int | FloatArray
+    theta: int | FloatArray
+
+    @property
+    def free_body(self) -> bool:
+        return isinstance(self.ref_T_body, int)
+
+    @property
+    def free_theta(self) -> bool:
+        return isinstance(self.theta, int)
+
+    @property
+    def keys(self) -> list[int]:
+        optional_body = [self.ref_T_body] if isinstance(self.ref_T_body, int) else []
+        optional_theta = [self.theta] if isinstance(self.theta, int) else []
+        return [self.camera_T_ref_key, *optional_body, self.body_T_board_key, *optional_theta]
+
+    def at(self, values: gtsam.Values) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """camera_T_ref (4, 4), ref_T_body (V, 4, 4), body_T_board (4, 4), theta (K,)."""
+        body, theta = self.ref_T_body, self.theta
+        return (
+            values.atPose3(self.camera_T_ref_key).matrix(),
+            values.atPose3(body).matrix()[None] if isinstance(body, int) else body,
+            values.atPose3(self.body_T_board_key).matrix(),
+            values.atVector(theta) if isinstance(theta, int) else theta,
+        )
+
+
+def _split_columns(jacobians: Jacobians, columns: FloatArray) -> None:
+    """Hand GTSAM the columns of each variable: six of a pose, the rest of theta."""
+    for i in range(len(jacobians)):
+        end = columns.shape[1] if i == len(jacobians) - 1 else 6 * (i + 1)
+        jacobians[i] = np.asfortranarray(columns[:, 6 * i : end])
+
+
+def reprojection_moments(
+    views: CornerViews,
+    camera_T_ref: FloatArray,
+    ref_T_body: FloatArray,
+    body_T_board: FloatArray,
+    model: CameraModel,
+    theta: FloatArray,
+    *,
+    robust: RobustKernel = GAUSSIAN,
+    free_body: bool = False,
+    free_theta: bool = False,
+) -> FloatArray:
+    """Sum of w [J r]^T [J r] over all views, upper triangle, in the tangents of camera_T_ref, of ref_T_body where
+    ``free_body`` (one view only), of body_T_board and of theta where ``free_theta``; the residual is last."""
+    camera_T_board = chain(camera_T_ref, ref_T_body, body_T_board)
+    by_view = view_moments(views, camera_T_board, model, theta, robust=robust, with_theta=free_theta)
+    return transport(by_view.moments, ref_T_body, body_T_board, free_body=free_body)
+
+
+@dataclass(frozen=True)
+class _FusedResidual:
+    """The callback of the fused factor."""
+
+    views: CornerViews
+    variables: _Variables
+    model: CameraModel
+    robust: RobustKernel
+
+    def __call__(self, factor: gtsam.CustomFactor, values: gtsam.Values, jacobians: Jacobians) -> FloatArray:
+        camera_T_ref, ref_T_body, body_T_board, theta = self.variables.at(values)
+        if jacobians is None:
+            camera_T_board = chain(camera_T_ref, ref_T_body, body_T_board)
+            by_view = view_moments(
+                self.views, camera_T_board, self.model, theta, robust=self.robust, with_moments=False
+            )
+            return np.array([math.sqrt(2.0 * by_view.loss.sum())])
+        moments = reprojection_moments(
+            self.views,
+            camera_T_ref,
+            ref_T_body,
+            body_T_board,
+            self.model,
+            theta,
+            robust=self.robust,
+            free_body=self.variables.free_body,
+            free_theta=self.variables.free_theta,
+        )
+        triangle = triangular_factor(moments)
+        _split_columns(jacobians, triangle[:, :-1])
+        return triangle[:, -1]
+
+
+class FusedReprojectionFactor(gtsam.CustomFactor):
+    """All corners of one camera's views as one factor.
+
+    camera_T_ref_key, body_T_board_key: Pose3 variables Y_c and X.
+    ref_T_body: (V, 4, 4) exact poses A_t; or, for a single view, the key of a Pose3 variable A_t.
+    theta: (K,) fixed intrinsics; or the key of a vector variable.
+    robust: acts on each corner's whitened norm, as ``gtsam.noiseModel.Robust`` would.
+
+    Keys in order: Y_c, A_t if free, X, theta if free. The Jacobian handed to GTSAM is the triangular factor of the
+    corners' whitened [J r]; a value-only call returns one entry, the root of twice the summed loss.
+
+    Raises ValueError where the shapes do not fit."""
+
+    def __init__(
+        self,
+        camera_T_ref_key: int,
+        body_T_board_key: int,
+        *,
+        views: CornerViews,
+        model: CameraModel,
+        ref_T_body: int | FloatArray,
+        theta: int | FloatArray,
+        robust: RobustKernel = GAUSSIAN,
+    ) -> None:
+        if isinstance(ref_T_body, int):
+            if views.n_views != 1:
+                raise ValueError(f"{views.n_views=}: a free ref_T_body needs a factor of one view")
+        elif ref_T_body.shape != (views.n_views, 4, 4):
+            raise ValueError(f"{ref_T_body.shape=}, expected ({views.n_views}, 4, 4)")
+        variables = _Variables(camera_T_ref_key, body_T_board_key, ref_T_body, theta)
+        super().__init__(None, variables.keys, _FusedResidual(views, variables, model, robust))
+
+
+@dataclass(frozen=True)
+class _CornerResidual:
+    """The callback of the per-corner factor."""
+
+    corner_m: FloatArray
+    corner_px: FloatArray
+    variables: _Variables
+    model: CameraModel
+
+    def __call__(self, factor: gtsam.CustomFactor, values: gtsam.Values, jacobians: Jacobians) -> FloatArray:
+        camera_T_ref, ref_T_body, body_T_board, theta = self.variables.at(values)
+        rows = corner_rows(
+            self.model.model_id,
+            theta,
+            camera_T_ref,
+            ref_T_body[0],
+            body_T_board,
+            self.corner_m,
+            self.corner_px,
+            self.variables.free_body,
+            self.variables.free_theta,
+        )
+        if jacobians is not None:
+            _split_columns(jacobians, rows[:, :-1])
+        return rows[:, -1]
+
+
+@kernel
+def corner_rows(
+    model_id: int,
+    theta: FloatArray,
+    camera_T_ref: FloatArray,
+    ref_T_body: FloatArray,
+    body_T_board: FloatArray,
+    corner_m: FloatArray,
+    corner_px: FloatArray,
+    free_body: bool,
+    free_theta: bool,
+) -> FloatArray:
+    """[J r] of one corner in px, shape (2, n + 1), in the variables' tangents as in ``reprojection_moments``."""
+    ref_T_board, camera_T_board = np.zeros((4, 4)), np.zeros((4, 4))
+    compose(ref_T_body, body_T_board, ref_T_board)
+    compose(camera_T_ref, ref_T_board, camera_T_board)
+    rest = len(theta) + 1 if free_theta else 1
+    n_blocks = 3 if free_body else 2
+    local = np.empty((2, 6 + rest))
+    _corner_residual(
+        model_id,
+        theta,
+        field_limit(model_id, theta),
+        camera_T_board,
+        corner_m[0],
+        corner_m[1],
+        corner_m[2],
+        corner_px[0],
+        corner_px[1],
+        local,
+        np.empty((2, 3)),
+        np.empty((2, len(theta))),
+        free_theta,
+    )
+    adjoint = np.empty((2, 6, 6))
+    adjoint_of_inverse(ref_T_board, adjoint[0])
+    adjoint_of_inverse(body_T_board, adjoint[1])
+    rows = np.empty((2, 6 * n_blocks + rest))
+    for i in range(2):
+        for p in range(n_blocks - 1):
+            for j in range(6):
+                value = 0.0
+                for k in range(6):
+                    value += local[i, k] * adjoint[p, k, j]
+                rows[i, 6 * p + j] = value
+        rows[i, 6 * (n_blocks - 1) :] = local[i]
+    return rows
+
+
+class CornerReprojectionFactor(gtsam.CustomFactor):
+    """One corner as a factor of two rows, in px; variables and their order as in ``FusedReprojectionFactor``.
+
+    noise_model: any of GTSAM's, of dimension 2; ``RobustKernel.noise_model`` makes the one that the fused factor
+    uses inside."""
+
+    def __init__(
+        self,
+        camera_T_ref_key: int,
+        body_T_board_key: int,
+        *,
+        corner_m: FloatArray,
+        corner_px: FloatArray,
+        model: CameraModel,
+        ref_T_body: int | FloatArray,
+        theta: int | FloatArray,
+        noise_model: gtsam.noiseModel.Base,
+    ) -> None:
+        constant = ref_T_body if isinstance(ref_T_body, int) else np.asarray(ref_T_body).reshape(1, 4, 4)
+        variables = _Variables(camera_T_ref_key, body_T_board_key, constant, theta)
+        super().__init__(noise_model, variables.keys, _CornerResidual(corner_m, corner_px, variables, model))
