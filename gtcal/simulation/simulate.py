@@ -1,0 +1,171 @@
+"""From options and a seed to a recording and its ground truth."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from gtcal.camera import Camera, FloatArray
+from gtcal.detections import IntArray
+from gtcal.recording import Recording
+from gtcal.simulation.corners import MeasuredCorners, measured_corners
+from gtcal.simulation.noise import MocapSamples, measured_body, random_swaps
+from gtcal.simulation.options import IntrinsicsError, SimulationOptions
+from gtcal.simulation.scene import Scene, random_scene
+from gtcal.simulation.truth import CameraTruth, GroundTruth
+from gtcal.trajectory import Trajectory
+
+START_NS = 1_700_000_000_000_000_000
+_MOCAP_LEAD_S = 0.5  # the mocap runs before the first frame and after the last one
+
+
+@dataclass(frozen=True)
+class Simulation:
+    """A simulated recording at the level of detections, its ground truth, and the world it was taken in."""
+
+    recording: Recording
+    truth: GroundTruth
+    scene: Scene
+    frame_times_s: FloatArray
+    options: SimulationOptions
+    seed: int
+
+
+def simulate(options: SimulationOptions, *, seed: int) -> Simulation:
+    """Simulate a recording with detections in place of images.
+
+    The seed decides everything, bit for bit. The motion, the bodies' frames and the frames' times depend on
+    it and on what is filmed, not on the noise; each kind of noise has a random stream of its own."""
+    scene = random_scene(
+        options.capture,
+        options.rig,
+        options.board,
+        options.motion,
+        options.limits,
+        options.duration_s,
+        _stream(seed, "scene"),
+    )
+    times_s = _frame_times(options)
+    bodies = _tracked_bodies(scene, options, times_s, seed)
+    corners = [_corners(scene, options, times_s, index, seed) for index in range(len(options.rig.cameras))]
+    truths = [
+        _camera_truth(scene, options, times_s, index, corners[index], bodies)
+        for index in range(len(options.rig.cameras))
+    ]
+    names = [camera.name for camera in options.rig.cameras]
+    recording = Recording(
+        path=None,
+        capture=options.capture,
+        cameras=_stated_cameras(options, _stream(seed, "intrinsics")),
+        board=options.board,
+        detections={name: measured.detections for name, measured in zip(names, corners, strict=True)},
+        images={},
+        platform=_trajectory(bodies, "platform"),
+        board_body=_trajectory(bodies, "board_body"),
+        max_gap_s=None,
+        inputs=(),
+    )
+    truth = GroundTruth(dict(zip(names, truths, strict=True)), scene.body_T_board)
+    return Simulation(recording, truth, scene, times_s, options, seed)
+
+
+_STREAMS = ("scene", "swaps", "platform", "board_body", "intrinsics", "corners", "images")
+
+
+def _stream(seed: int, name: str, *indices: int) -> np.random.Generator:
+    """The random numbers of one part of the simulation."""
+    return np.random.default_rng([seed, _STREAMS.index(name), *indices])
+
+
+def _frame_times(options: SimulationOptions) -> FloatArray:
+    """(F,) seconds since the start."""
+    taken = options.n_frames_taken
+    kept = np.arange(taken) if options.n_frames is None else np.linspace(0, taken - 1, options.n_frames).round()
+    return kept / options.camera_rate_hz
+
+
+def stamps_ns(times_s: FloatArray) -> IntArray:
+    """(N,) time stamps of times (N,) in seconds since the start."""
+    return START_NS + np.rint(1e9 * times_s).astype(np.int64)
+
+
+def _tracked_bodies(
+    scene: Scene, options: SimulationOptions, frame_times_s: FloatArray, seed: int
+) -> dict[str, MocapSamples]:
+    """The bodies that the capture tracks, as the mocap measured them."""
+    interval_s = 1.0 / options.mocap_rate_hz
+    swaps_rng = _stream(seed, "swaps")
+    start_s = -_MOCAP_LEAD_S + interval_s * swaps_rng.uniform()
+    times_s = np.arange(start_s, options.duration_s + _MOCAP_LEAD_S, interval_s)
+    motions = {"platform": scene.world_T_platform, "board_body": scene.world_T_boardbody}
+    names = options.capture.bodies
+    swaps = random_swaps(frame_times_s, options.swap_share, options.swap_duration_s, interval_s, swaps_rng)
+    chosen = swaps_rng.integers(len(names), size=len(swaps.centres_s))
+    return {
+        name: swaps.only(chosen == index).applied(
+            measured_body(motions[name], times_s, options.mocap, _stream(seed, name))
+        )
+        for index, name in enumerate(names)
+    }
+
+
+def _trajectory(bodies: dict[str, MocapSamples], name: str) -> Trajectory | None:
+    if name not in bodies:
+        return None
+    return Trajectory(name, stamps_ns(bodies[name].times_s), bodies[name].world_T_body)
+
+
+def _corners(
+    scene: Scene, options: SimulationOptions, times_s: FloatArray, index: int, seed: int
+) -> MeasuredCorners:
+    return measured_corners(
+        options.rig.cameras[index],
+        scene.camera_T_board(index, times_s),
+        stamps_ns(times_s + options.clock_offsets_s[index]),
+        options.board,
+        options.limits,
+        options.corners,
+        _stream(seed, "corners", index),
+    )
+
+
+def _camera_truth(
+    scene: Scene,
+    options: SimulationOptions,
+    times_s: FloatArray,
+    index: int,
+    corners: MeasuredCorners,
+    bodies: dict[str, MocapSamples],
+) -> CameraTruth:
+    stamped_s = times_s + options.clock_offsets_s[index]
+    return CameraTruth(
+        camera=options.rig.cameras[index],
+        camera_T_ref=scene.camera_T_ref(index),
+        clock_offset_s=options.clock_offsets_s[index],
+        stamps_ns=stamps_ns(stamped_s),
+        ref_T_body=scene.ref_T_body(times_s),
+        swapped=np.any([samples.swapped_at(stamped_s) for samples in bodies.values()], axis=0),
+        wrong_corners=corners.wrong,
+    )
+
+
+def _stated_cameras(options: SimulationOptions, rng: np.random.Generator) -> dict[str, Camera]:
+    """The cameras with the intrinsics that the recording states."""
+    if options.intrinsics == "none":
+        return {camera.name: replace(camera, parameters=None) for camera in options.rig.cameras}
+    if options.intrinsics == "true":
+        return {camera.name: camera for camera in options.rig.cameras}
+    return {
+        camera.name: replace(camera, parameters=_perturbed(camera.theta, options.intrinsics_error, rng))
+        for camera in options.rig.cameras
+    }
+
+
+def _perturbed(theta: FloatArray, error: IntrinsicsError, rng: np.random.Generator) -> FloatArray:
+    """Parameters with an error. fx and fy are wrong by the same share: it is one lens."""
+    wrong = theta.copy()
+    wrong[:2] *= 1.0 + error.focal_share * rng.standard_normal()
+    wrong[2:4] += error.centre_px * rng.standard_normal(2)
+    wrong[4:] *= 1.0 + error.distortion_share * rng.standard_normal(len(theta) - 4)
+    return wrong
