@@ -1,0 +1,75 @@
+"""Files written whole or not at all, and their fingerprints."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO
+
+from gtcal.errors import GtcalError
+
+
+@dataclass(frozen=True)
+class InputFile:
+    """A file (or folder of files) that a result was computed from. ``sha256`` is 64 hex digits."""
+
+    path: Path
+    sha256: str
+
+
+@contextmanager
+def write_aside(path: Path, *, binary: bool = False) -> Iterator[IO]:
+    """Open a new file beside ``path`` for writing and put it in the place of ``path`` on leaving. Where the
+    body raises, ``path`` stays as it was. The folder is made where it is missing. Text is UTF-8 with ``\\n``.
+
+    Raises GtcalError where the folder can't be written."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        handle, aside = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=".part")
+    except OSError as error:
+        raise GtcalError(f"{path}: can't be written: {error.strerror}") from error
+    try:
+        os.fchmod(handle, 0o666 & ~_umask())
+        with os.fdopen(handle, "wb") if binary else os.fdopen(handle, "w", encoding="utf-8", newline="\n") as f:
+            yield f
+        Path(aside).replace(path)
+    except BaseException:
+        Path(aside).unlink(missing_ok=True)
+        raise
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a text file whole or not at all. Raises GtcalError where the folder can't be written."""
+    with write_aside(path) as file:
+        file.write(text)
+
+
+def fingerprint(path: Path) -> InputFile:
+    """The SHA-256 of a file, or of the names and contents of the files directly in a folder."""
+    if path.is_dir():
+        total = hashlib.sha256()
+        for file in sorted(path.iterdir()):
+            if file.is_file():
+                total.update(f"{file.name}\0{_sha256(file)}\n".encode())
+        return InputFile(path, total.hexdigest())
+    return InputFile(path, _sha256(path))
+
+
+def _sha256(path: Path) -> str:
+    try:
+        with path.open("rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+    except OSError as error:
+        raise GtcalError(f"{path}: can't be read: {error.strerror}") from error
+
+
+def _umask() -> int:
+    """The umask, which mkstemp ignores; the only way to read it is to set it."""
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask
