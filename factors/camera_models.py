@@ -39,6 +39,7 @@ BoolArray = npt.NDArray[np.bool_]
 _PINHOLE, _KB4, _F62, _F624 = 0, 1, 2, 3  # model ids, as the kernels know them
 _LIMIT_SAMPLES = 720  # a quarter of a degree: a polynomial of degree 12 does not turn twice within one
 _NEWTON_STEPS = 50
+_UNDISTORT_TOLERANCE = 1e-14  # relative; next to a fold the last steps are rounding, the image is not
 
 
 @inlined
@@ -145,7 +146,8 @@ def _project_fisheye(
     r2 = x * x + y * y
     r = math.sqrt(r2)
     angle = math.atan2(r, z)
-    if not angle < limit:
+    squared_norm = r2 + z * z
+    if not (angle < limit and 0.0 < squared_norm < math.inf):
         return math.nan, math.nan, False
     slope = _radial_slope(model_id, theta, angle)
     per_r = 1.0 / r if r > 0.0 else 0.0
@@ -158,7 +160,7 @@ def _project_fisheye(
     fx, fy = theta[0], theta[1]
 
     # d(u, v) / d(x, y, z): r * d scale / d r = turn, and d scale / d z = fall
-    fall = -slope / (r2 + z * z)
+    fall = -slope / squared_norm
     turn = -fall * z - scale
     u_x = scale + cos_azimuth * cos_azimuth * turn
     u_y = cos_azimuth * sin_azimuth * turn
@@ -207,7 +209,7 @@ def _project_pinhole(
     J_theta: FloatArray,
     with_theta: bool,
 ) -> tuple[float, float, bool]:
-    if not z > 0.0:
+    if not 0.0 < z < math.inf:
         return math.nan, math.nan, False
     xn, yn = x / z, y / z
     r2 = xn * xn + yn * yn
@@ -284,24 +286,29 @@ def _invert_radial(model_id: int, theta: FloatArray, limit: float, target: float
 
 @kernel
 def _undistort_fisheye(model_id: int, theta: FloatArray, ud: float, vd: float) -> tuple[float, float, bool]:
-    """Newton's method on the tangential and thin-prism part."""
-    u, v = ud, vd
+    """Newton's method on the tangential and thin-prism part, kept on the axis's side of the fold."""
+    u, v, u_inside, v_inside = ud, vd, 0.0, 0.0
+    miss, tolerance = math.inf, _UNDISTORT_TOLERANCE * (1.0 + abs(ud) + abs(vd))
     for _ in range(_NEWTON_STEPS):
         uf, vf, uu, uv, vu, vv = _distort_fisheye(model_id, theta, u, v)
         det = uu * vv - uv * vu
         if not det > 0.0:
-            return u, v, False
+            u, v = 0.5 * (u + u_inside), 0.5 * (v + v_inside)
+            continue
+        u_inside, v_inside = u, v
+        miss = abs(ud - uf) + abs(vd - vf)
         du = (vv * (ud - uf) - uv * (vd - vf)) / det
         dv = (uu * (vd - vf) - vu * (ud - uf)) / det
         u, v = u + du, v + dv
         if abs(du) + abs(dv) <= 1e-15 * (abs(u) + abs(v)):
             return u, v, True
-    return u, v, abs(du) + abs(dv) < 1e-12
+    return u, v, miss < tolerance
 
 
 @kernel
 def _undistort_pinhole(theta: FloatArray, limit: float, ud: float, vd: float) -> tuple[float, float, bool]:
-    """Newton's method on the whole distortion, from the solution of its radial part."""
+    """Newton's method on the whole distortion from the solution of its radial part, kept on the axis's side of
+    the fold."""
     distance = math.hypot(ud, vd)
     if distance == 0.0:
         x, y = 0.0, 0.0
@@ -310,17 +317,22 @@ def _undistort_pinhole(theta: FloatArray, limit: float, ud: float, vd: float) ->
         if math.isnan(radius):  # only the tangential part can bring it back inside
             radius = 0.95 * limit
         x, y = ud * radius / distance, vd * radius / distance
+    x_inside, y_inside = 0.0, 0.0
+    miss, tolerance = math.inf, _UNDISTORT_TOLERANCE * (1.0 + abs(ud) + abs(vd))
     for _ in range(_NEWTON_STEPS):
         uf, vf, ux, uy, vx, vy = _distort_pinhole(theta, x, y)
         det = ux * vy - uy * vx
         if not det > 0.0:
-            return x, y, False
+            x, y = 0.5 * (x + x_inside), 0.5 * (y + y_inside)
+            continue
+        x_inside, y_inside = x, y
+        miss = abs(ud - uf) + abs(vd - vf)
         dx = (vy * (ud - uf) - uy * (vd - vf)) / det
         dy = (ux * (vd - vf) - vx * (ud - uf)) / det
         x, y = x + dx, y + dy
         if abs(dx) + abs(dy) <= 1e-15 * (abs(x) + abs(y)):
             break
-    return x, y, abs(dx) + abs(dy) < 1e-12 and x * x + y * y < limit * limit
+    return x, y, miss < tolerance and x * x + y * y < limit * limit
 
 
 @kernel
