@@ -1,0 +1,254 @@
+"""Laws of the camera models, for every model of CAMERA_MODELS, and what independent implementations say."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from factors_support import CAMERAS, QUEST3_RIGHT, camera, numeric_derivative
+
+from factors import CAMERA_MODELS, FISHEYE62, FISHEYE624, KANNALA_BRANDT4, PINHOLE_RADTAN, CameraModel
+
+every_camera = pytest.mark.parametrize("label", CAMERAS)
+every_fisheye = pytest.mark.parametrize("label", [c for c in CAMERAS if camera(c)[0] is not PINHOLE_RADTAN])
+
+
+def off_axis(angle_rad: np.ndarray, n_azimuths: int = 24) -> np.ndarray:
+    """Unit bearings (N * n_azimuths, 3) so far off the axis, all round it."""
+    angle, azimuth = np.meshgrid(angle_rad, np.linspace(-np.pi, np.pi, n_azimuths, endpoint=False))
+    bearings = [np.sin(angle) * np.cos(azimuth), np.sin(angle) * np.sin(azimuth), np.cos(angle)]
+    return np.stack(bearings, axis=-1).reshape(-1, 3)
+
+
+def field(model: CameraModel, theta: np.ndarray, up_to: float = 0.999) -> np.ndarray:
+    """Bearings from the optical axis up to that share of the field's radius; to 65 degrees where a pinhole's field
+    has no end, for its pixels run to infinity at 90."""
+    shares = np.concatenate([[0.0, 1e-12, 1e-8, 1e-4], np.linspace(0.01, up_to, 60), [up_to]])
+    limit = model.max_angle_rad(theta)
+    if model is not PINHOLE_RADTAN:
+        return off_axis(shares * limit)
+    return off_axis(np.arctan(shares * np.tan(limit)) if limit < np.radians(89.9) else shares * np.radians(65))
+
+
+def test_every_model_has_a_camera_here() -> None:
+    assert {name for name, _ in CAMERAS.values()} == set(CAMERA_MODELS)
+    for name, theta in CAMERAS.values():
+        assert CAMERA_MODELS[name].n_parameters == len(theta)
+
+
+@every_camera
+def test_jacobians_equal_numeric_differentiation(label: str) -> None:
+    model, theta = camera(label)
+    distance_m = np.random.default_rng(1).uniform(0.5, 2.0, (len(field(model, theta)), 1))
+    points = distance_m * field(model, theta, 0.98)
+    pixels, valid, J_point, J_theta = model.project_with_jacobians(points, theta)
+    assert valid.all()
+    np.testing.assert_array_equal(pixels, model.project(points, theta)[0])
+    by_point = numeric_derivative(lambda p: model.project(p, theta)[0], points, 1e-5)
+    by_theta = numeric_derivative(lambda t: model.project(points, t)[0], theta, 1e-6)
+    np.testing.assert_allclose(J_point, by_point, rtol=1e-6, atol=1e-6)
+    np.testing.assert_allclose(J_theta, by_theta, rtol=1e-6, atol=1e-6)
+
+
+@every_camera
+def test_on_the_axis_every_model_is_a_pinhole(label: str) -> None:
+    model, theta = camera(label)
+    fx, fy, cx, cy = theta[:4]
+    pixels, _, J_point, J_theta = model.project_with_jacobians([[0.0, 0.0, 2.0]], theta)
+    np.testing.assert_array_equal(pixels, [[cx, cy]])
+    np.testing.assert_allclose(J_point[0], [[fx / 2, 0, 0], [0, fy / 2, 0]], rtol=1e-15)
+    np.testing.assert_array_equal(J_theta[0], np.eye(2, model.n_parameters, k=2))
+
+
+@every_camera
+def test_unproject_inverts_project_over_the_field(label: str) -> None:
+    model, theta = camera(label)
+    bearings = field(model, theta)
+    pixels, valid = model.project(bearings, theta)
+    back, found = model.unproject(pixels, theta)
+    again, _ = model.project(back, theta)
+    np.testing.assert_array_equal(found, valid)
+    assert valid.all() or label == "strong_barrel"  # whose tangential part folds at 0.998 of the radius
+    assert valid.mean() > 0.98
+    np.testing.assert_allclose(again[valid], pixels[valid], rtol=0, atol=1e-10)
+    np.testing.assert_allclose(back[valid], bearings[valid], rtol=0, atol=1e-11)
+
+
+@every_camera
+def test_every_pixel_has_its_point_or_none(label: str) -> None:
+    model, theta = camera(label)
+    pixels = np.stack(np.meshgrid(np.linspace(-600, 1900, 101), np.linspace(-600, 1900, 101)), axis=-1)
+    bearings, found = model.unproject(pixels.reshape(-1, 2), theta)
+    again, valid = model.project(bearings, theta)
+    np.testing.assert_array_equal(valid, found)
+    assert found.sum() > 300
+    np.testing.assert_allclose(again[found], pixels.reshape(-1, 2)[found], rtol=0, atol=1e-10)
+    np.testing.assert_allclose(np.linalg.norm(bearings[found], axis=1), 1.0, rtol=1e-14)
+    assert np.isnan(again[~found]).all()
+    assert np.isnan(bearings[~found]).all()
+
+
+@every_camera
+@pytest.mark.parametrize("scale", [1e-3, 1e4])
+def test_the_distance_does_not_matter(label: str, scale: float) -> None:
+    model, theta = camera(label)
+    bearings = field(model, theta)
+    pixels, valid = model.project(bearings, theta)
+    np.testing.assert_allclose(
+        model.project(scale * bearings[valid], theta)[0], pixels[valid], rtol=1e-14, atol=1e-12
+    )
+
+
+def assert_masked(model: CameraModel, theta: np.ndarray, points: np.ndarray) -> None:
+    for arrays in (model.project(points, theta), model.project_with_jacobians(points, theta)):
+        values, valid = [arrays[0], *arrays[2:]], arrays[1]
+        assert not valid.any()
+        assert all(np.isnan(value).all() for value in values)
+
+
+@every_camera
+def test_beyond_the_field_there_is_no_pixel(label: str) -> None:
+    model, theta = camera(label)
+    limit = model.max_angle_rad(theta)
+    assert_masked(model, theta, np.array([[0.0, 0.0, -1.0]]))
+    if limit < np.pi:
+        assert_masked(model, theta, off_axis(np.linspace(1.000001 * limit, np.pi, 200)))
+    assert model.project(off_axis(np.array([0.99 * limit])), theta)[1].all()
+
+
+@every_camera
+def test_what_is_no_direction_has_no_pixel(label: str) -> None:
+    model, theta = camera(label)
+    odd = [0.0, np.nan, np.inf, -np.inf]
+    points = np.stack(np.meshgrid([*odd, 0.3], [*odd, -0.2], [*odd, 1.0]), axis=-1).reshape(-1, 3)
+    finite = np.isfinite(points).all(axis=1)
+    assert_masked(model, theta, points[~finite])
+    assert_masked(model, theta, np.zeros((1, 3)))
+
+
+@every_camera
+def test_pixels_outside_the_field_have_no_point(label: str) -> None:
+    model, theta = camera(label)
+    outside = [[np.nan, 3.0], [3.0, np.nan], [np.inf, 3.0], [3.0, -np.inf]]
+    if np.isfinite(radius_limit(model, theta)) and model.max_angle_rad(theta) < np.pi:
+        rim = model.project(off_axis(np.array([0.99 * model.max_angle_rad(theta)])), theta)[0]
+        outside += list(theta[2:4] + 1.1 * (rim - theta[2:4]))
+    bearings, found = model.unproject(outside, theta)
+    assert not found.any()
+    assert np.isnan(bearings).all()
+
+
+def radius_limit(model: CameraModel, theta: np.ndarray) -> float:
+    """The first root of the derivative of the radial polynomial, by numpy."""
+    names = [n for n in model.parameter_names if n.startswith("k")]
+    coefficients = [theta[model.parameter_names.index(n)] for n in names]
+    slope = [1.0, *(k * (2 * i + 3) for i, k in enumerate(coefficients))]
+    squares = np.roots(slope[::-1])
+    real = squares.real[(np.abs(squares.imag) < 1e-9 * np.abs(squares)) & (squares.real > 0)]
+    return float(np.sqrt(real.min())) if len(real) else np.inf
+
+
+@pytest.mark.parametrize("model", CAMERA_MODELS.values(), ids=CAMERA_MODELS)
+def test_the_field_ends_at_the_first_root_of_the_slope(model: CameraModel) -> None:
+    random = np.random.default_rng(5)
+    radial = [name.startswith("k") for name in model.parameter_names]
+    sizes = 0.3 * 0.5 ** np.arange(sum(radial))
+    ends = 0
+    for _ in range(200):
+        theta = np.zeros(model.n_parameters)
+        theta[:2], theta[radial] = 500.0, random.normal(size=sum(radial)) * sizes
+        root = radius_limit(model, theta)
+        limit = np.arctan(root) if model is PINHOLE_RADTAN else min(root, np.pi)
+        assert model.max_angle_rad(theta) == pytest.approx(limit, rel=1e-9)
+        ends += limit not in (np.pi, np.pi / 2)
+    assert ends > 50
+
+
+def test_the_field_of_the_quest_3() -> None:
+    limit = FISHEYE62.max_angle_rad(QUEST3_RIGHT)
+    assert np.degrees(limit) == pytest.approx(89.5635, abs=5e-5)
+    assert FISHEYE62.project(off_axis(np.array([limit - 1e-9])), QUEST3_RIGHT)[1].all()
+
+
+@pytest.mark.parametrize("index", [0, 1])
+def test_fisheye62_agrees_with_two_implementations(shared: Callable[[str], Path], index: int) -> None:
+    oracle = json.loads(shared("oracles/fisheye62_quest3.json").read_text())["cameras"][index]
+    theta = [oracle["params"][name] for name in FISHEYE62.parameter_names]
+    assert_agrees(FISHEYE62, theta, oracle)
+
+
+@pytest.mark.parametrize("index", [0, 1])
+def test_fisheye624_agrees_with_two_implementations(index: int) -> None:
+    text = (Path(__file__).parent / "data" / "fisheye624_oracle.json").read_text()
+    oracle = json.loads(text)["cameras"][index]
+    assert_agrees(FISHEYE624, oracle["theta"], oracle)
+
+
+def assert_agrees(model: CameraModel, theta: list[float], oracle: dict[str, list[list[float]]]) -> None:
+    pixels, valid = model.project(oracle["points_m"], theta)
+    assert valid.all()
+    np.testing.assert_allclose(pixels, oracle["pixels_projectaria_px"], rtol=0, atol=1e-9)
+    np.testing.assert_allclose(pixels, oracle["pixels_pycolmap_px"], rtol=0, atol=1e-9)
+
+
+def camera_matrix(theta: np.ndarray) -> np.ndarray:
+    fx, fy, cx, cy = theta[:4]
+    return np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
+
+
+@pytest.mark.parametrize("label", ["euroc", "strong_barrel", "pincushion"])
+def test_the_pinhole_is_opencvs(label: str) -> None:
+    model, theta = camera(label)
+    points = field(model, theta, 0.9)
+    given, _ = cv2.projectPoints(points, np.zeros(3), np.zeros(3), camera_matrix(theta), theta[4:])
+    np.testing.assert_allclose(model.project(points, theta)[0], given[:, 0], rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("label", ["tum_vi", "strong_fisheye"])
+def test_kannala_brandt_is_opencvs_fisheye(label: str) -> None:
+    model, theta = camera(label)
+    points = field(model, theta)
+    points = points[points[:, 2] > 0.05]  # OpenCV divides by z
+    given, _ = cv2.fisheye.projectPoints(points[None], np.zeros(3), np.zeros(3), camera_matrix(theta), theta[4:])
+    np.testing.assert_allclose(model.project(points, theta)[0], given[0], rtol=0, atol=1e-9)
+
+
+@every_fisheye
+def test_the_fisheye_models_nest(label: str) -> None:
+    model, theta = camera(label)
+    same = {
+        FISHEYE624: (FISHEYE62, [*theta[:12], 0, 0, 0, 0], theta[:12]),
+        FISHEYE62: (FISHEYE624, theta, [*theta, 0, 0, 0, 0]),
+        KANNALA_BRANDT4: (FISHEYE62, theta, [*theta, 0, 0, 0, 0]),
+    }
+    other, own, others = same[model]
+    points = off_axis(np.linspace(0, 1.2, 30))
+    pixels, valid, J_point, J_theta = model.project_with_jacobians(points, own)
+    other_pixels, other_valid, other_J_point, other_J_theta = other.project_with_jacobians(points, others)
+    shared = min(len(own), len(others))
+    np.testing.assert_array_equal(valid, other_valid)
+    np.testing.assert_allclose(pixels, other_pixels, rtol=1e-15)
+    np.testing.assert_allclose(J_point, other_J_point, rtol=1e-13, atol=1e-11)
+    np.testing.assert_allclose(J_theta[..., :shared], other_J_theta[..., :shared], rtol=1e-13, atol=1e-11)
+
+
+def test_shape_errors_quote_the_shape() -> None:
+    theta = np.zeros(12)
+    with pytest.raises(ValueError, match=r"points_in_camera.shape=\(4, 2\), expected \(N, 3\)"):
+        FISHEYE62.project(np.zeros((4, 2)), theta)
+    with pytest.raises(ValueError, match=r"points_in_camera.shape=\(3,\), expected \(N, 3\)"):
+        FISHEYE62.project_with_jacobians(np.zeros(3), theta)
+    with pytest.raises(ValueError, match=r"pixels_px.shape=\(4, 3\), expected \(N, 2\)"):
+        FISHEYE62.unproject(np.zeros((4, 3)), theta)
+    with pytest.raises(ValueError, match=r"theta.shape=\(11,\), expected \(12,\) for fisheye62: fx fy cx cy k0"):
+        FISHEYE62.project(np.zeros((4, 3)), theta[:11])
+
+
+def test_no_points_have_no_pixels() -> None:
+    pixels, valid, J_point, J_theta = FISHEYE62.project_with_jacobians(np.empty((0, 3)), QUEST3_RIGHT)
+    assert (pixels.shape, valid.shape, J_point.shape, J_theta.shape) == ((0, 2), (0,), (0, 2, 3), (0, 2, 12))
+    assert FISHEYE62.unproject(np.empty((0, 2)), QUEST3_RIGHT)[0].shape == (0, 3)
