@@ -100,6 +100,10 @@ class Board(Protocol):
         """The board as a manifest's ``board`` block; ``board_from_manifest`` reads it back."""
 
     @property
+    def pitch_m(self) -> float:
+        """From one tag of a grid, or one square, to the next."""
+
+    @property
     def n_corners(self) -> int: ...
     @property
     def width_m(self) -> float: ...
@@ -178,7 +182,7 @@ class TagGrid(_BoardBase):
         return self.first_tag_id + np.arange(self.n_tags)
 
     @property
-    def tag_pitch_m(self) -> float:
+    def pitch_m(self) -> float:
         return self.tag_side_m + self.tag_gap_m
 
     @cached_property
@@ -186,7 +190,7 @@ class TagGrid(_BoardBase):
         """(T, 2) the lower-left corner of each tag."""
         row, column = np.divmod(np.arange(self.n_tags), self.tag_columns)
         row_up = self.tag_rows - 1 - row if self.rows_from_the_top else row
-        return np.stack([column, row_up], axis=1) * self.tag_pitch_m
+        return np.stack([column, row_up], axis=1) * self.pitch_m
 
     @cached_property
     def corners_m(self) -> FloatArray:
@@ -204,8 +208,8 @@ class TagGrid(_BoardBase):
 
     @property
     def bounds_m(self) -> tuple[float, float, float, float]:
-        width = self.tag_columns * self.tag_pitch_m - self.tag_gap_m
-        height = self.tag_rows * self.tag_pitch_m - self.tag_gap_m
+        width = self.tag_columns * self.pitch_m - self.tag_gap_m
+        height = self.tag_rows * self.pitch_m - self.tag_gap_m
         rim = self.tag_gap_m if self.has_corner_squares else 0.0
         return -rim, -rim, width + rim, height + rim
 
@@ -233,7 +237,7 @@ class TagGrid(_BoardBase):
         if not self.has_corner_squares:
             return np.empty((0, 4))
         column, row = np.meshgrid(np.arange(self.tag_columns + 1), np.arange(self.tag_rows + 1))
-        upper_right = np.stack([column.ravel(), row.ravel()], axis=1) * self.tag_pitch_m
+        upper_right = np.stack([column.ravel(), row.ravel()], axis=1) * self.pitch_m
         return np.column_stack([upper_right - self.tag_gap_m, upper_right])
 
     def corner_name(self, corner_id: int) -> str:
@@ -374,6 +378,10 @@ class CharucoBoard(_BoardBase):
     @property
     def bounds_m(self) -> tuple[float, float, float, float]:
         return 0.0, 0.0, self.square_columns * self.square_side_m, self.square_rows * self.square_side_m
+
+    @property
+    def pitch_m(self) -> float:
+        return self.square_side_m
 
     @property
     def module_m(self) -> float:

@@ -26,10 +26,10 @@ GreyImage = npt.NDArray[np.uint8]
 # Parameters of one corner: x, y, the normals' angles, the logarithms of the blurs, p0, p3, p1, p2. A saddle frees
 # the first eight: with p1 and p2 free it follows the light across the window instead of the corner.
 _N_SADDLE, _N_ALL = 8, 10
-_ROUNDS, _STEPS = 3, 12
+_ROUNDS, _STEPS, _SETTLED_PX = 3, 12, 2e-3
 # A window narrower than this has too few pixels for the fit, one wider gains nothing and feels the lens.
-_MIN_RADIUS_PX, _MAX_RADIUS_PX = 2.0, 10.0
-_MAX_PIXELS = (2 * int(_MAX_RADIUS_PX) + 3) ** 2
+_MIN_RADIUS_PX, MAX_RADIUS_PX = 2.0, 10.0
+_MAX_PIXELS = (2 * int(MAX_RADIUS_PX) + 3) ** 2
 _START_BLUR_PX = 0.8
 _MIN_LOG_BLUR, _MAX_LOG_BLUR = math.log(0.25), math.log(6.0)
 _SQRT_HALF, _STEP_SLOPE = math.sqrt(0.5), math.sqrt(2.0 / math.pi)
@@ -148,10 +148,10 @@ def _collect(image, x0, y0, px_per_m, band_m, reach_m, keep_off_px, window):  # 
     band_x, band_y = _radius(band_m / along_x, keep_off_px), _radius(band_m / along_y, keep_off_px)
     reach_x, reach_y = _radius(reach_m / along_x, keep_off_px), _radius(reach_m / along_y, keep_off_px)
     height, width = image.shape
-    r = _MAX_RADIUS_PX
+    r = MAX_RADIUS_PX
     n = 0
-    for y in range(max(int(math.ceil(y0 - r)), 0), min(int(math.floor(y0 + r)), height - 1) + 1):
-        for x in range(max(int(math.ceil(x0 - r)), 0), min(int(math.floor(x0 + r)), width - 1) + 1):
+    for y in range(max(math.ceil(y0 - r), 0), min(math.floor(y0 + r), height - 1) + 1):
+        for x in range(max(math.ceil(x0 - r), 0), min(math.floor(x0 + r), width - 1) + 1):
             dx, dy = x - x0, y - y0
             u = abs((d * dx - b * dy) / area) / along_x
             v = abs((a * dy - c * dx) / area) / along_y
@@ -171,6 +171,7 @@ def _radius(clear_px, keep_off_px):  # type: ignore[no-untyped-def]
 def _fit(window, n, n_free, q):  # type: ignore[no-untyped-def]
     """Levenberg-Marquardt on the first ``n_free`` parameters in place. Returns the rms residual, or NaN."""
     hessian, gradient = np.empty((n_free, n_free)), np.empty(n_free)
+    new_hessian, new_gradient = np.empty((n_free, n_free)), np.empty(n_free)
     damped, step, row, trial = np.empty((n_free, n_free)), np.empty(n_free), np.empty(_N_ALL), q.copy()
     damping = 1e-3
     cost = _normal_equations(window, n, n_free, q, row, hessian, gradient)
@@ -184,30 +185,21 @@ def _fit(window, n, n_free, q):  # type: ignore[no-untyped-def]
             trial[:n_free] = q[:n_free] + step
             trial[4] = min(max(trial[4], _MIN_LOG_BLUR), _MAX_LOG_BLUR)
             trial[5] = min(max(trial[5], _MIN_LOG_BLUR), _MAX_LOG_BLUR)
-            new_cost = _cost(window, n, trial)
+            new_cost = _normal_equations(window, n, n_free, trial, row, new_hessian, new_gradient)
         if not new_cost <= cost:
             damping *= 10.0
             if damping > 1e6:
                 break
             continue
-        moved = math.hypot(step[0], step[1])
-        settled = moved < 1e-3 and new_cost > 0.999 * cost
+        settled = math.hypot(step[0], step[1]) < _SETTLED_PX and new_cost > 0.99 * cost
         q[:] = trial
+        hessian[:] = new_hessian
+        gradient[:] = new_gradient
         cost = new_cost
+        damping = max(0.1 * damping, 1e-7)
         if settled:
             break
-        damping = max(0.1 * damping, 1e-7)
-        cost = _normal_equations(window, n, n_free, q, row, hessian, gradient)
     return math.sqrt(cost / n)
-
-
-@kernel
-def _cost(window, n, q):  # type: ignore[no-untyped-def]
-    normals, row = _normals(q), np.empty(_N_ALL)
-    cost = 0.0
-    for k in range(n):
-        cost += _residual(window[k], q, normals, row, False) ** 2
-    return cost
 
 
 @kernel
@@ -217,7 +209,7 @@ def _normal_equations(window, n, n_free, q, row, hessian, gradient):  # type: ig
     normals = _normals(q)
     cost = 0.0
     for k in range(n):
-        residual = _residual(window[k], q, normals, row, True)
+        residual = _residual(window[k], q, normals, row)
         cost += residual * residual
         for i in range(n_free):
             gradient[i] += row[i] * residual
@@ -234,19 +226,18 @@ def _normals(q):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _residual(pixel, q, normals, row, with_row):  # type: ignore[no-untyped-def]
+def _residual(pixel, q, normals, row):  # type: ignore[no-untyped-def]
     """Grey value minus model at a pixel (x, y, grey); ``row`` receives the model's derivatives."""
     ux, uy, vx, vy = normals
     dx, dy = pixel[0] - q[0], pixel[1] - q[1]
     u, v = ux * dx + uy * dy, vx * dx + vy * dy
     s, t = math.erf(_SQRT_HALF * u), math.erf(_SQRT_HALF * v)
-    if with_row:
-        by_u = (q[8] + q[7] * t) * _STEP_SLOPE * math.exp(-0.5 * u * u)
-        by_v = (q[9] + q[7] * s) * _STEP_SLOPE * math.exp(-0.5 * v * v)
-        row[0], row[1] = -by_u * ux - by_v * vx, -by_u * uy - by_v * vy
-        row[2], row[3] = by_u * (ux * dy - uy * dx), by_v * (vx * dy - vy * dx)
-        row[4], row[5] = -by_u * u, -by_v * v
-        row[6], row[7], row[8], row[9] = 1.0, s * t, s, t
+    by_u = (q[8] + q[7] * t) * _STEP_SLOPE * math.exp(-0.5 * u * u)
+    by_v = (q[9] + q[7] * s) * _STEP_SLOPE * math.exp(-0.5 * v * v)
+    row[0], row[1] = -by_u * ux - by_v * vx, -by_u * uy - by_v * vy
+    row[2], row[3] = by_u * (ux * dy - uy * dx), by_v * (vx * dy - vy * dx)
+    row[4], row[5] = -by_u * u, -by_v * v
+    row[6], row[7], row[8], row[9] = 1.0, s * t, s, t
     return pixel[2] - (q[6] + q[7] * s * t + q[8] * s + q[9] * t)
 
 

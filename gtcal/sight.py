@@ -1,0 +1,83 @@
+"""A plane in which the board's image is a homography, at least locally, and the way there from pixels."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from gtcal.camera import Camera, FloatArray
+
+# A bearing further than 87 degrees from the virtual camera's axis has no use in its image plane.
+_LEAST_COSINE = 0.05
+
+
+class Sight(Protocol):
+    def to_plane(self, pixels_px: FloatArray) -> FloatArray:
+        """(N, 2) pixels to (N, 2) points of the plane, NaN where there is none."""
+
+    def to_pixels(self, plane: FloatArray) -> FloatArray:
+        """(N, 2) points of the plane to (N, 2) pixels, NaN where there is none."""
+
+
+class PixelSight:
+    """Intrinsics unknown: the image itself. The lens distortion stays in it."""
+
+    def to_plane(self, pixels_px: FloatArray) -> FloatArray:
+        return pixels_px
+
+    def to_pixels(self, plane: FloatArray) -> FloatArray:
+        return plane
+
+
+@dataclass(frozen=True)
+class BearingSight:
+    """Intrinsics known: the image plane of a virtual pinhole camera of focal length 1 turned towards what is seen.
+
+    virtual_R_camera: (3, 3), takes bearings in the camera frame to the virtual camera's.
+    """
+
+    camera: Camera
+    virtual_R_camera: FloatArray
+
+    def to_plane(self, pixels_px: FloatArray) -> FloatArray:
+        bearings, valid = self.camera.unproject(pixels_px)
+        in_virtual = bearings @ self.virtual_R_camera.T
+        ahead = valid & (in_virtual[:, 2] > _LEAST_COSINE)
+        return np.where(ahead[:, None], in_virtual[:, :2] / np.where(ahead, in_virtual[:, 2], 1.0)[:, None], np.nan)
+
+    def to_pixels(self, plane: FloatArray) -> FloatArray:
+        in_virtual = np.column_stack([plane, np.ones(len(plane))])
+        return self.camera.project(in_virtual @ self.virtual_R_camera)[0]
+
+
+def sight_of(camera: Camera | None, seen_px: FloatArray) -> Sight:
+    """The plane to compare corners in: facing the pixels ``seen_px`` (N, 2) where the intrinsics are known, else the
+    image."""
+    if camera is None or camera.parameters is None:
+        return PixelSight()
+    bearings, valid = camera.unproject(seen_px)
+    if not valid.any():
+        return PixelSight()
+    axis = bearings[valid].mean(axis=0)
+    return BearingSight(camera, _rotation_to_z(axis / np.linalg.norm(axis)))
+
+
+def pixels_and_derivative(
+    sight: Sight, plane: FloatArray, plane_per_m: FloatArray, step_m: float
+) -> tuple[FloatArray, FloatArray]:
+    """(N, 2) the pixels of points (N, 2) of the plane, and (N, 2, 2) their derivative to the board point in metres
+    that ``plane_per_m`` (N, 2, 2) is the plane's derivative to, by differences over ``step_m``."""
+    steps = step_m * np.moveaxis(plane_per_m, 2, 0)
+    columns = [(sight.to_pixels(plane + step) - sight.to_pixels(plane - step)) / (2 * step_m) for step in steps]
+    return sight.to_pixels(plane), np.stack(columns, axis=2)
+
+
+def _rotation_to_z(axis: FloatArray) -> FloatArray:
+    """The shortest rotation that takes the unit vector ``axis`` to z."""
+    x, y, z = axis
+    if z < -0.999999:
+        return np.diag([1.0, -1.0, -1.0])
+    cross = np.array([[0, 0, -x], [0, 0, -y], [x, y, 0]])
+    return np.eye(3) + cross + cross @ cross / (1 + z)

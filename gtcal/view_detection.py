@@ -1,0 +1,222 @@
+"""The board's corners in one image.
+
+OpenCV reads what tags it can. From there the search goes outwards over the board: predict the next corners from the
+known ones around them, fit each in the image, keep those that are what the print shows there, lie where their
+neighbours say, and belong to a tag whose code is read. Where the intrinsics are known the neighbours are compared
+without the lens distortion.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from gtcal.board import Board
+from gtcal.camera import BoolArray, Camera, FloatArray
+from gtcal.detections import IntArray
+from gtcal.images import GreyImage
+from gtcal.local_warp import fit_local_warps
+from gtcal.refinement import MAX_RADIUS_PX, RefinedCorners, refine_corners
+from gtcal.sight import Sight, pixels_and_derivative, sight_of
+from gtcal.tags import READABLE_MODULE_PX, find_tags, is_read, module_centres_m, read_codes
+
+# A corner is refused nearer to the image's edge than this: its window would show one side only.
+_MARGIN_PX = 3.0
+# How far a fit may end from its prediction: this part of a tag's side, but always these pixels.
+_MOVED_PART, _MOVED_PX = 0.15, 1.5
+# What a fit must look like: residual over half the step between black and white, half that step in grey levels (of
+# 255 in all), turn of the edges; and their blur, as a part of the window's radius, but always these pixels. On real
+# views the clean corners stay under 0.23, 0.17 rad and 0.9 px.
+_MISFIT, _FAINTEST_STEP, _STRONGEST_STEP, _TURNED_RAD = 0.3, 4.0, 150.0, 0.35
+_BLUR_PART, _BLUR_PX = 0.3, 1.3
+_TRIES = 3
+# How far the next corners may be from the known ones, in pitches of the board: both edges of the next tag.
+_REACH = 1.05
+# A corner this far from where its neighbours put it is stray: pixels, and multiples of the view's median.
+_STRAY_PX, _STRAY_FACTOR = 0.75, 5.0
+_FEWEST_CORNERS, _FEWEST_TAGS = 4, 2
+
+
+def detect_view(image: GreyImage, board: Board, camera: Camera | None = None) -> tuple[IntArray, FloatArray]:
+    """Find the board's corners in one image, uint8 (H, W).
+
+    camera: used where it has parameters, only to predict where corners are.
+
+    Returns the corner ids (n,), increasing, and the corners (n, 2) in pixels; both empty where the image doesn't
+    show at least two tags of the board (or the only one) that agree."""
+    found = find_tags(image, board)
+    if not len(found):
+        return np.empty(0, dtype=np.int64), np.empty((0, 2))
+    search = _Search(image, board, sight_of(camera, found.corners_px.reshape(-1, 2)))
+    search.tag_read[found.tags] = 1
+    anchors_m = board.tag_corners_m[found.tags, :, :2].reshape(-1, 2)
+    search.extend(anchors_m, found.corners_px.reshape(-1, 2), search.corners_of(found.tags))
+    while search.extend(*search.known(), search.reachable()):
+        pass
+    return search.result()
+
+
+@dataclass(frozen=True)
+class _Print:
+    """What the search needs to know of the board, computed once per board.
+
+    near: (C, C) pairs of corners so close that one predicts the other. saddle: (C,). sign: (C,) +-1, the sign of
+    the fitted step. tag_corners: (T, C) the corners next to each tag."""
+
+    near: BoolArray
+    saddle: BoolArray
+    sign: FloatArray
+    tag_corners: BoolArray
+
+
+@lru_cache(maxsize=8)
+def _print_of(board: Board) -> _Print:
+    xy = board.corners_m[:, :2]
+    apart = np.linalg.norm(xy[:, None] - xy[None], axis=2)
+    black = board.corner_quadrants
+    saddle = (black[:, 0] == black[:, 2]) & (black[:, 1] == black[:, 3]) & (black[:, 0] != black[:, 1])
+    white = 1.0 - 2.0 * black
+    tag_corners = np.zeros((len(board.tag_ids), len(xy)), dtype=bool)
+    tags = board.corner_tags
+    tag_corners[tags, np.arange(len(xy))[:, None]] = True
+    return _Print(
+        apart < _REACH * board.pitch_m,
+        saddle,
+        np.sign(white[:, 0] - white[:, 1] + white[:, 2] - white[:, 3]),
+        tag_corners,
+    )
+
+
+class _Search:
+    """The state of the search in one image.
+
+    corners_px: (C, 2), NaN where not found. tries: (C,) how often each was looked for. tag_read: (T,) 1 where a tag's
+    code was read, -1 where the image shows something else, 0 where it wasn't or can't be looked at."""
+
+    def __init__(self, image: GreyImage, board: Board, sight: Sight) -> None:
+        self.image, self.board, self.sight = image, board, sight
+        self.print = _print_of(board)
+        self.corners_m = board.corners_m[:, :2]
+        self.corners_px = np.full((board.n_corners, 2), np.nan)
+        self.tries = np.zeros(board.n_corners, dtype=int)
+        self.tag_read = np.zeros(len(board.tag_ids), dtype=int)
+
+    @property
+    def found(self) -> BoolArray:
+        return np.isfinite(self.corners_px[:, 0])
+
+    def known(self) -> tuple[FloatArray, FloatArray]:
+        return self.corners_m[self.found], self.corners_px[self.found]
+
+    def corners_of(self, tags: IntArray) -> IntArray:
+        return np.flatnonzero(self.print.tag_corners[tags].any(axis=0))
+
+    def reachable(self) -> IntArray:
+        """The corners to look for next: missing, next to a known one, not given up, of no tag found to be absent."""
+        beside = self.print.near[:, self.found].any(axis=1)
+        return np.flatnonzero(beside & ~self.found & (self.tries < _TRIES) & ~self._absent())
+
+    def extend(self, known_m: FloatArray, known_px: FloatArray, candidates: IntArray) -> bool:
+        """Look for the candidates as the known points predict them. Whether it is worth going on."""
+        if not len(candidates) or len(known_m) < _FEWEST_CORNERS:
+            return False
+        self.tries[candidates] += 1
+        guess_px, px_per_m = self._predict(known_m, known_px, self.corners_m[candidates])
+        shown = self._well_inside(guess_px)
+        candidates, guess_px, px_per_m = candidates[shown], guess_px[shown], px_per_m[shown]
+        refined = refine_corners(
+            self.image,
+            guess_px,
+            px_per_m,
+            saddle=self.print.saddle[candidates],
+            clear_band_m=self.board.clear_band_m,
+            clear_reach_m=self.board.clear_reach_m,
+        )
+        good = self._good(refined, candidates, guess_px, px_per_m)
+        self.corners_px[candidates[good]] = refined.corners_px[good]
+        self._drop_stray()
+        self._read_tags()
+        return True
+
+    def result(self) -> tuple[IntArray, FloatArray]:
+        seen_tags = self.print.tag_corners[:, self.found].any(axis=1) & (self.tag_read == 1)
+        if self.found.sum() < _FEWEST_CORNERS or seen_tags.sum() < min(_FEWEST_TAGS, len(seen_tags)):
+            return np.empty(0, dtype=np.int64), np.empty((0, 2))
+        return np.flatnonzero(self.found), self.corners_px[self.found]
+
+    def _predict(self, known_m: FloatArray, known_px: FloatArray, at_m: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """(M, 2) pixels and (M, 2, 2) pixels per metre of places (M, 2) on the board, NaN where there are none."""
+        plane = self.sight.to_plane(known_px)
+        usable = np.isfinite(plane).all(axis=1)
+        warps = fit_local_warps(known_m[usable], plane[usable], at_m, spread_m=self.board.pitch_m)
+        return pixels_and_derivative(self.sight, *warps.at_centres(), step_m=0.05 * self.board.pitch_m)
+
+    def _well_inside(self, pixels_px: FloatArray) -> BoolArray:
+        height, width = self.image.shape
+        x, y = pixels_px[:, 0], pixels_px[:, 1]
+        inside = (x >= _MARGIN_PX) & (x <= width - 1 - _MARGIN_PX)
+        return inside & (y >= _MARGIN_PX) & (y <= height - 1 - _MARGIN_PX)
+
+    def _good(
+        self, refined: RefinedCorners, corners: IntArray, guess_px: FloatArray, px_per_m: FloatArray
+    ) -> BoolArray:
+        moved_px = np.linalg.norm(refined.corners_px - guess_px, axis=1)
+        side_px = self.board.pitch_m * np.linalg.svd(px_per_m, compute_uv=False)[:, 1]
+        step = refined.step * self.print.sign[corners]
+        reach_px = side_px * self.board.clear_reach_m / self.board.pitch_m
+        blurred_px = np.maximum(_BLUR_PART * np.minimum(reach_px, MAX_RADIUS_PX), _BLUR_PX)
+        return (
+            self._well_inside(refined.corners_px)
+            & (moved_px < np.maximum(_MOVED_PART * side_px, _MOVED_PX))
+            & (_FAINTEST_STEP < step)
+            & (step < _STRONGEST_STEP)
+            & (refined.blur_px < blurred_px)
+            & (refined.misfit < _MISFIT)
+            & (refined.turned_rad < _TURNED_RAD)
+        )
+
+    def _drop_stray(self) -> None:
+        """Drop corners that don't lie where their neighbours say, the worst of a neighbourhood first."""
+        while True:
+            ids = np.flatnonzero(self.found)
+            off_px = self._off_from_neighbours_px(ids)
+            limit_px = max(_STRAY_PX, _STRAY_FACTOR * float(np.median(off_px))) if len(ids) else 0.0
+            worst_near = np.where(self.print.near[np.ix_(ids, ids)], off_px[None], 0.0).max(axis=1, initial=0.0)
+            stray = (off_px > limit_px) & (off_px >= worst_near)
+            if not stray.any():
+                return
+            self.corners_px[ids[stray]] = np.nan
+
+    def _off_from_neighbours_px(self, ids: IntArray) -> FloatArray:
+        """(n,) how far each found corner is from where the others put it; 0 where they can't tell."""
+        plane = self.sight.to_plane(self.corners_px[ids])
+        warps = fit_local_warps(
+            self.corners_m[ids], plane, self.corners_m[ids], spread_m=self.board.pitch_m, leave_out=np.arange(len(ids))
+        )
+        predicted_px = self.sight.to_pixels(warps.at_centres()[0])
+        return np.nan_to_num(np.linalg.norm(predicted_px - self.corners_px[ids], axis=1))
+
+    def _absent(self) -> BoolArray:
+        """(C,) the corners all of whose tags were looked at and aren't there."""
+        present = self.tag_read != -1
+        return ~self.print.tag_corners[present].any(axis=0)
+
+    def _read_tags(self) -> None:
+        """Read the tags next to newly found corners; drop the corners whose tags turn out to be something else."""
+        tags = np.flatnonzero(self.print.tag_corners[:, self.found].any(axis=1) & (self.tag_read == 0))
+        if not len(tags) or self.found.sum() < _FEWEST_CORNERS:
+            return
+        known_m, known_px = self.known()
+        plane = self.sight.to_plane(known_px)
+        middle_m = self.board.tag_corners_m[tags, :, :2].mean(axis=1)
+        warps = fit_local_warps(known_m, plane, middle_m, spread_m=self.board.pitch_m)
+        modules = warps.apply(module_centres_m(self.board, tags))
+        modules_px = self.sight.to_pixels(modules.reshape(-1, 2)).reshape(modules.shape)
+        _, px_per_m = pixels_and_derivative(self.sight, *warps.at_centres(), step_m=0.05 * self.board.pitch_m)
+        module_px = self.board.module_m * np.linalg.svd(np.nan_to_num(px_per_m), compute_uv=False)[:, 1]
+        correlation = read_codes(self.image, self.board, tags, modules_px)
+        readable = np.isfinite(correlation) & (module_px >= READABLE_MODULE_PX)
+        self.tag_read[tags[readable]] = np.where(is_read(correlation[readable]), 1, -1)
+        self.corners_px[self._absent()] = np.nan
