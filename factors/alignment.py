@@ -28,7 +28,7 @@ def _alignment_moments(
     corner_moments: FloatArray,
     out: FloatArray,
 ) -> None:
-    N = np.empty((3, 4))
+    N, Q = np.empty((3, 4)), np.empty((3, 4))
     for v in range(len(camera_T_board)):
         T, M = camera_T_board[v], corner_moments[v]
         off = T[:3] - measured_camera_T_board[v, :3]
@@ -48,7 +48,9 @@ def _alignment_moments(
         # sum of [p]x = ([J] rotation)^T ([J] translation), rotated into the board frame
         x, y, z = M[0, 3], M[1, 3], M[2, 3]
         S[0, 4], S[0, 5], S[1, 3], S[1, 5], S[2, 3], S[2, 4] = -z, y, z, -x, -y, x
-        Q = T[:3, :3].T @ N  # sum of (residual in the board frame) p^T
+        for i in range(3):  # sum of (residual in the board frame) p^T
+            for j in range(4):
+                Q[i, j] = T[0, i] * N[0, j] + T[1, i] * N[1, j] + T[2, i] * N[2, j]
         S[0, 6], S[1, 6], S[2, 6] = Q[2, 1] - Q[1, 2], Q[0, 2] - Q[2, 0], Q[1, 0] - Q[0, 1]
         S[3, 6], S[4, 6], S[5, 6] = Q[0, 3], Q[1, 3], Q[2, 3]
         S[6, 6] = squared
@@ -124,4 +126,5 @@ class PointAlignmentFactor(gtsam.CustomFactor):
         residual = _AlignmentResidual(
             camera_T_ref_key, body_T_board_key, ref_T_body, measured_camera_T_board, corner_moments, sigma_m
         )
-        super().__init__(None, [camera_T_ref_key, body_T_board_key], residual)
+        # no noise model: the rows come whitened, and a value-only call returns fewer of them
+        super().__init__(None, [camera_T_ref_key, body_T_board_key], residual)  # type: ignore[call-overload]

@@ -1,7 +1,7 @@
 """The one way this package compiles its scalar kernels."""
 
 from collections.abc import Callable
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 import numba
 
@@ -10,12 +10,11 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 def kernel(function: F) -> F:
     """Compile ``function`` with numba: cached on disk, without the GIL, IEEE division, fused multiply-add."""
-    compiled: F = numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})(function)
-    return compiled
+    jit = numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+    return cast(F, jit(function))
 
 
 def inlined(function: F) -> F:
     """Like ``kernel``, and pasted into its callers: for the innermost functions, where a call with array
     arguments would cost more than the arithmetic."""
-    compiled: F = numba.njit(inline="always", error_model="numpy", fastmath={"contract"})(function)
-    return compiled
+    return cast(F, numba.njit(inline="always", error_model="numpy", fastmath={"contract"})(function))

@@ -187,6 +187,31 @@ def _sum_views(
                     moments[v, a, b] = moments[v, b, a] = total[a, b]
 
 
+@kernel
+def _residuals(
+    model_id: int,
+    theta: FloatArray,
+    camera_T_board: FloatArray,
+    view_start: IntArray,
+    corners_m: FloatArray,
+    corners_px: FloatArray,
+    first_view: int,
+    end_view: int,
+    residuals_px: FloatArray,
+) -> None:
+    limit = field_limit(model_id, theta)
+    J_point, J_theta = np.empty((2, 3)), np.empty((2, len(theta)))
+    for v in range(first_view, end_view):
+        T = camera_T_board[v]
+        for n in range(view_start[v], view_start[v + 1]):
+            X, Y, Z = corners_m[n, 0], corners_m[n, 1], corners_m[n, 2]
+            x = T[0, 0] * X + T[0, 1] * Y + T[0, 2] * Z + T[0, 3]
+            y = T[1, 0] * X + T[1, 1] * Y + T[1, 2] * Z + T[1, 3]
+            z = T[2, 0] * X + T[2, 1] * Y + T[2, 2] * Z + T[2, 3]
+            px, py, _ = project_point(model_id, theta, limit, x, y, z, J_point, J_theta, False)
+            residuals_px[n, 0], residuals_px[n, 1] = px - corners_px[n, 0], py - corners_px[n, 1]
+
+
 @cache
 def _threads() -> ThreadPoolExecutor:
     return ThreadPoolExecutor(os.cpu_count(), thread_name_prefix="reprojection")
@@ -198,6 +223,14 @@ def _tasks(view_start: IntArray) -> list[tuple[int, int]]:
     bounds = np.searchsorted(view_start, np.linspace(0, view_start[-1], n_tasks + 1)[1:-1])
     edges = [0, *(int(b) for b in bounds), len(view_start) - 1]
     return list(itertools.pairwise(edges))
+
+
+def _run_on_all_cores(run: Callable[[tuple[int, int]], None], view_start: IntArray) -> None:
+    tasks = _tasks(view_start)
+    if len(tasks) == 1:
+        run(tasks[0])
+    else:
+        list(_threads().map(run, tasks))
 
 
 def view_moments(
@@ -238,12 +271,23 @@ def view_moments(
             n_invalid,
         )
 
-    tasks = _tasks(views.view_start)
-    if len(tasks) == 1:
-        run(tasks[0])
-    else:
-        list(_threads().map(run, tasks))
+    _run_on_all_cores(run, views.view_start)
     return ViewMoments(moments, loss, n_invalid)
+
+
+def residuals_px(
+    views: CornerViews, camera_T_board: FloatArray, model: CameraModel, theta: FloatArray
+) -> FloatArray:
+    """Projection less measurement (N, 2) of every corner at camera_T_board (V, 4, 4); NaN where a corner has no
+    pixel."""
+    out = np.empty_like(views.corners_px)
+
+    def run(task: tuple[int, int]) -> None:
+        columns = views.view_start, views.corners_m, views.corners_px
+        _residuals(model.model_id, theta, camera_T_board, *columns, *task, out)
+
+    _run_on_all_cores(run, views.view_start)
+    return out
 
 
 Jacobians = Any  # GTSAM's JacobianVector, or None for a value-only call
@@ -373,7 +417,8 @@ class FusedReprojectionFactor(gtsam.CustomFactor):
         elif ref_T_body.shape != (views.n_views, 4, 4):
             raise ValueError(f"{ref_T_body.shape=}, expected ({views.n_views}, 4, 4)")
         variables = _Variables(camera_T_ref_key, body_T_board_key, ref_T_body, theta)
-        super().__init__(None, variables.keys, _FusedResidual(views, variables, model, robust))
+        # no noise model: the rows come whitened, and a value-only call returns fewer of them
+        super().__init__(None, variables.keys, _FusedResidual(views, variables, model, robust))  # type: ignore[call-overload]
 
 
 @dataclass(frozen=True)

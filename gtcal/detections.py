@@ -49,7 +49,7 @@ class CameraDetections:
         return CameraDetections(
             stamps_ns=np.array([stamp for stamp, _, _ in listed], dtype=np.int64),
             view_start=np.concatenate([[0], np.cumsum(counts)]).astype(np.int64),
-            corner_ids=np.concatenate([ids for _, ids, _ in listed] or [np.empty(0)]).astype(np.int64),
+            corner_ids=np.concatenate([ids for _, ids, _ in listed] or [np.empty(0, np.int64)]).astype(np.int64),
             corners_px=np.concatenate([px for _, _, px in listed] or [np.empty((0, 2))]).astype(np.float64),
         )
 

@@ -1,0 +1,212 @@
+"""From observations to a calibration: PnP, the three stages, marginal covariances."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from gtcal.adjustment import Adjusted, Covariances, adjust, covariances, not_adjusted
+from gtcal.alignment import GuideViews, fitting_views, stage_1, stage_2, without_stage_1
+from gtcal.calibration import (
+    NAIVE,
+    Calibration,
+    CameraCalibration,
+    PoseEstimate,
+    ResidualStatistics,
+    Solution,
+    StageReport,
+)
+from gtcal.errors import GtcalError
+from gtcal.estimate import Estimate
+from gtcal.files import InputFile
+from gtcal.motion import check_turning, turning
+from gtcal.observations import Observations, Views
+from gtcal.options import CalibrationOptions
+from gtcal.pnp import solve_pnp
+from gtcal.progress import Progress, silent
+from gtcal.provenance import provenance
+from gtcal.residuals import chain_residuals_px, median_by_view, norms
+
+DISAGREEMENT_RAD = np.deg2rad(3.0)
+"""A typical residual of this angle after alignment is no noise: the files contradict each other."""
+
+MANY_DROPPED = 0.25
+"""A share of gross views that an operator should hear of."""
+
+_MIN_VIEWS = 3
+
+
+class DisagreementError(GtcalError):
+    """No chain fits the data. ``angle_deg``: the typical residual of the best one."""
+
+    def __init__(self, angle_deg: float, hint: str = "") -> None:
+        self.angle_deg = angle_deg
+        causes = "quaternion order, inverse poses, units, swapped bodies or clocks, or the board's geometry"
+        super().__init__(
+            f"no calibration fits: after alignment the corners still lie {angle_deg:.1f} deg off, typically, so the "
+            f"board's views and the mocap contradict each other; {hint or 'check ' + causes}"
+        )
+
+
+def calibrate_observations(
+    observations: Observations,
+    options: CalibrationOptions | None = None,
+    *,
+    progress: Progress = silent,
+    inputs: tuple[InputFile, ...] = (),
+) -> Calibration:
+    """Calibrate from synchronised views.
+
+    Raises GtcalError where there are fewer views than unknowns or the motion is degenerate, and DisagreementError
+    where no chain fits."""
+    started = time.perf_counter()
+    options = options or CalibrationOptions()
+    views = observations.views
+    _check_enough(views, options)
+    warnings = _motion_warnings(views, options)
+    estimate, reports = _align(views, options, progress)
+    adjusted, report = _adjust(views, estimate, options, progress)
+    sigmas = covariances(adjusted) if 3 in options.stages else None
+    final = adjusted.estimate
+    return Calibration(
+        capture=observations.capture,
+        cameras={name: _camera(of_camera, adjusted, sigmas) for name, of_camera in views.items()},
+        body_T_board=PoseEstimate(final.body_T_board, sigmas.body_T_board if sigmas else None),
+        board=observations.board.to_manifest(),
+        sigma_px=adjusted.sigma_px,
+        covariance_kind=NAIVE,
+        stages=(*reports, *report),
+        dropped=observations.dropped + adjusted.screened.dropped(views),
+        warnings=(*warnings, *_screening_warnings(adjusted)),
+        provenance=provenance(options, inputs, time.perf_counter() - started),
+        solution=Solution(adjusted.graph, adjusted.values, final, adjusted.screened.views),
+    )
+
+
+def _check_enough(views: Mapping[str, Views], options: CalibrationOptions) -> None:
+    for name, of_camera in views.items():
+        if of_camera.n_views < _MIN_VIEWS:
+            raise GtcalError(
+                f"camera {name!r} has {of_camera.n_views} usable view(s); at least {_MIN_VIEWS} are needed for its "
+                "extrinsic, and 20 or more for a good one: record longer, or leave the camera out"
+            )
+        unknowns = 12 + of_camera.camera.model.n_parameters * options.refine_intrinsics
+        if 2 * of_camera.n_corners < unknowns:
+            raise GtcalError(
+                f"camera {name!r} has {2 * of_camera.n_corners} measured coordinates for {unknowns} unknowns: "
+                "record more views of the board"
+            )
+
+
+def _motion_warnings(views: Mapping[str, Views], options: CalibrationOptions) -> tuple[str, ...]:
+    try:
+        warning = check_turning(turning(of_camera.ref_T_body for of_camera in views.values()))
+    except GtcalError as error:
+        if not options.allow_degenerate:
+            raise
+        warning = str(error)
+    return () if warning is None else (warning,)
+
+
+def _screening_warnings(adjusted: Adjusted) -> tuple[str, ...]:
+    return tuple(
+        f"camera {name!r}: {np.mean(~keep):.0%} of its views contradict the chain and were left out; a mocap body that "
+        "swaps, or a clock that drifts, looks like that"
+        for name, keep in adjusted.screened.keep_view.items()
+        if np.mean(~keep) > MANY_DROPPED
+    )
+
+
+def _align(
+    views: Mapping[str, Views], options: CalibrationOptions, progress: Progress
+) -> tuple[Estimate, list[StageReport]]:
+    """PnP, stage 1 and stage 2, as far as the options want them."""
+    started = time.perf_counter()
+    guides = _guides(views, options, progress)
+    reports = [_report(0, "PnP", started)]
+    started = time.perf_counter()
+    if 1 in options.stages:
+        progress("stage 1: Procrustes sweep", 0, 1)
+        aligned = stage_1(guides, np.random.default_rng(options.seed))
+        estimate, fitting = aligned.estimate, aligned.views
+        worst, best = aligned.sweep.rmse_of_starts_m.max(), aligned.sweep.rmse_m
+        found = _report(1, "Procrustes sweep", started, (worst, best), "m rmse, worst and best start")
+        reports.append(replace(found, median_px=_median_px(views, estimate)))
+        progress("stage 1: Procrustes sweep", 1, 1)
+    else:
+        estimate = without_stage_1(guides)
+        fitting = fitting_views(guides, estimate)
+    started = time.perf_counter()
+    if 2 in options.stages:
+        progress("stage 2: 3-D alignment", 0, 1)
+        estimate, minimised = stage_2(fitting, estimate, eps=options.eps, max_iterations=options.max_iterations)
+        found = _report(2, "3-D alignment", started, minimised.errors, "m^2, halved")
+        reports.append(replace(found, median_px=_median_px(views, estimate)))
+        progress("stage 2: 3-D alignment", 1, 1)
+    if 1 in options.stages and not options.allow_degenerate:
+        _check_agreement(views, estimate)
+    return estimate, reports
+
+
+def _adjust(
+    views: Mapping[str, Views], estimate: Estimate, options: CalibrationOptions, progress: Progress
+) -> tuple[Adjusted, list[StageReport]]:
+    """Stage 3, where the options want it."""
+    if 3 not in options.stages:
+        return not_adjusted(views, estimate, options), []
+    started = time.perf_counter()
+    adjusted = adjust(views, estimate, options, progress)
+    report = _report(3, "pixels", started, adjusted.errors, "whitened, halved")
+    return adjusted, [replace(report, median_px=_median_px(views, adjusted.estimate))]
+
+
+def _guides(views: Mapping[str, Views], options: CalibrationOptions, progress: Progress) -> dict[str, GuideViews]:
+    guides = {}
+    for done, (name, of_camera) in enumerate(views.items()):
+        progress("PnP", done, len(views))
+        guides[name] = GuideViews.of(of_camera, solve_pnp(of_camera, max_views=options.pnp_views))
+        n_solved = guides[name].views.n_views
+        if n_solved < _MIN_VIEWS:
+            raise GtcalError(
+                f"camera {name!r}: PnP solves {n_solved} of its {of_camera.n_views} views; do the intrinsics fit the "
+                "image, and the board the recording?"
+            )
+    progress("PnP", len(views), len(views))
+    return guides
+
+
+def _report(
+    stage: int, name: str, started_s: float, errors: tuple[float, ...] = (), unit: str = ""
+) -> StageReport:
+    before, after = (errors[0], errors[-1]) if errors else (float("nan"), float("nan"))
+    seconds = time.perf_counter() - started_s
+    return StageReport(stage, name, max(len(errors) - 1, 0), before, after, unit, float("nan"), seconds)
+
+
+def _median_px(views: Mapping[str, Views], estimate: Estimate) -> float:
+    """Median over the views of all cameras of the median residual of their corners."""
+    medians = [
+        median_by_view(of_camera, norms(chain_residuals_px(of_camera, estimate))) for of_camera in views.values()
+    ]
+    return float(np.median(np.concatenate(medians)))
+
+
+def _check_agreement(views: Mapping[str, Views], estimate: Estimate) -> None:
+    focal_px = float(np.mean([theta[0] for theta in estimate.theta.values()]))
+    angle_rad = np.arctan(_median_px(views, estimate) / focal_px)
+    if angle_rad > DISAGREEMENT_RAD:
+        raise DisagreementError(float(np.rad2deg(angle_rad)))
+
+
+def _camera(views: Views, adjusted: Adjusted, sigmas: Covariances | None) -> CameraCalibration:
+    name = views.camera.name
+    used, estimate = adjusted.screened.views[name], adjusted.estimate
+    return CameraCalibration(
+        camera=replace(views.camera, parameters=estimate.theta[name]),
+        camera_T_ref=PoseEstimate(estimate.camera_T_ref[name], sigmas.camera_T_ref[name] if sigmas else None),
+        theta_covariance=sigmas.theta.get(name) if sigmas else None,
+        residuals=ResidualStatistics.of(norms(chain_residuals_px(used, estimate)), used.n_views),
+    )

@@ -1,0 +1,172 @@
+"""What a calibration found, how sure it is, and how it was found."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import gtsam
+import numpy as np
+
+from factors.rigid import inverse
+from gtcal.camera import Camera, FloatArray
+from gtcal.capture import Capture
+from gtcal.estimate import Estimate
+from gtcal.files import InputFile
+from gtcal.observations import Dropped, Views
+
+NAIVE = "naive"
+"""The covariance of the paper's objective: corners independent, the mocap's poses exact, scaled by the residual. Mocap
+noise moves all corners of a frame together, so where it matters this is too small."""
+
+
+@dataclass(frozen=True)
+class PoseEstimate:
+    """A rigid transform with its uncertainty.
+
+    a_T_b: (4, 4).
+    covariance: (6, 6) of xi in a_T_b * Exp(xi): rotation first, in rad and m, along the axes of frame b. None where
+        no covariance was computed."""
+
+    a_T_b: FloatArray
+    covariance: FloatArray | None
+
+    @property
+    def rotation_sigma_deg(self) -> FloatArray | None:
+        """(3,) 1-sigma of the attitude about the axes of b."""
+        return None if self.covariance is None else np.rad2deg(np.sqrt(np.diag(self.covariance)[:3]))
+
+    @property
+    def position_of_a_in_b_m(self) -> FloatArray:
+        """(3,) the origin of a in b: for camera_T_ref, where the camera is."""
+        return inverse(self.a_T_b)[:3, 3]
+
+    @property
+    def position_of_a_in_b_covariance_m2(self) -> FloatArray | None:
+        """(3, 3) of ``position_of_a_in_b_m``: b_T_a = Exp(-xi) b_T_a moves the origin p by p x rotation - translation."""
+        if self.covariance is None:
+            return None
+        x, y, z = self.position_of_a_in_b_m
+        J = np.hstack([[[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]], -np.eye(3)])
+        return J @ self.covariance @ J.T
+
+    @property
+    def position_of_a_in_b_sigma_mm(self) -> FloatArray | None:
+        """(3,) 1-sigma of ``position_of_a_in_b_m`` along the axes of b."""
+        covariance = self.position_of_a_in_b_covariance_m2
+        return None if covariance is None else 1e3 * np.sqrt(np.diag(covariance))
+
+    @property
+    def position_of_b_in_a_sigma_mm(self) -> FloatArray | None:
+        """(3,) 1-sigma of the origin of b along the axes of a: for body_T_board, of the board's origin in the body."""
+        if self.covariance is None:
+            return None
+        R = self.a_T_b[:3, :3]
+        return 1e3 * np.sqrt(np.diag(R @ self.covariance[3:, 3:] @ R.T))
+
+
+@dataclass(frozen=True)
+class ResidualStatistics:
+    """Reprojection residuals of the corners that were used; norms in px.
+
+    rmse_px is pooled per corner: the root of the mean squared norm."""
+
+    rmse_px: float
+    median_px: float
+    p95_px: float
+    worst_px: float
+    n_views: int
+    n_corners: int
+
+    @staticmethod
+    def of(norms_px: FloatArray, n_views: int) -> ResidualStatistics:
+        """Of the corners' residual norms (N,)."""
+        return ResidualStatistics(
+            rmse_px=float(np.sqrt(np.mean(norms_px**2))),
+            median_px=float(np.median(norms_px)),
+            p95_px=float(np.quantile(norms_px, 0.95)),
+            worst_px=float(norms_px.max()),
+            n_views=n_views,
+            n_corners=len(norms_px),
+        )
+
+
+@dataclass(frozen=True)
+class CameraCalibration:
+    """One camera: with the intrinsics used or found, where it is, and how well its corners fit.
+
+    theta_covariance: (K, K) of the intrinsics where they were solved for, else None."""
+
+    camera: Camera
+    camera_T_ref: PoseEstimate
+    theta_covariance: FloatArray | None
+    residuals: ResidualStatistics
+
+
+@dataclass(frozen=True)
+class StageReport:
+    """One stage of the solution.
+
+    error_before, error_after: of the stage's own objective, in ``error_unit``.
+    median_px: median reprojection residual over all views after the stage."""
+
+    stage: int
+    name: str
+    iterations: int
+    error_before: float
+    error_after: float
+    error_unit: str
+    median_px: float
+    duration_s: float
+
+
+@dataclass(frozen=True)
+class Provenance:
+    """How a result was made."""
+
+    created_utc: str
+    command_line: tuple[str, ...]
+    versions: dict[str, str]
+    options: dict[str, object]
+    inputs: tuple[InputFile, ...]
+    duration_s: float
+
+
+@dataclass(frozen=True)
+class Solution:
+    """The optimised problem, for those who want to go on from it: add a factor, solve again.
+
+    graph, values: GTSAM's, keys as in ``gtcal.graph``. views: the views and corners that were used, by camera."""
+
+    graph: gtsam.NonlinearFactorGraph
+    values: gtsam.Values
+    estimate: Estimate
+    views: dict[str, Views]
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """The result of ``calibrate``.
+
+    sigma_px: standard deviation of one pixel coordinate, estimated from the residuals or as given.
+    covariance_kind: which covariance the estimates carry.
+    warnings: what the operator should know, a line each.
+    solution: None where the calibration was read from a file."""
+
+    capture: Capture
+    cameras: dict[str, CameraCalibration]
+    body_T_board: PoseEstimate
+    board: dict[str, object]
+    sigma_px: float
+    covariance_kind: str
+    stages: tuple[StageReport, ...]
+    dropped: tuple[Dropped, ...]
+    warnings: tuple[str, ...]
+    provenance: Provenance
+    solution: Solution | None = field(default=None, compare=False, repr=False)
+
+    @property
+    def rmse_px(self) -> float:
+        """Pooled over the corners of all cameras."""
+        parts = [camera.residuals for camera in self.cameras.values()]
+        squares = sum(part.rmse_px**2 * part.n_corners for part in parts)
+        return float(np.sqrt(squares / sum(part.n_corners for part in parts)))

@@ -1,0 +1,66 @@
+"""What a user can choose about a calibration."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+from factors import GAUSSIAN, RobustKernel
+from gtcal.errors import GtcalError
+
+IntrinsicsMode = Literal["fixed", "calibrate", "refine", "calibrate+refine"]
+"""fixed: as the recording states them. calibrate: found first, by a plain calibration from the views. refine: solved for
+in stage 3, jointly with the extrinsics."""
+
+
+@dataclass(frozen=True)
+class CalibrationOptions:
+    """Options of ``gtcal.calibrate``.
+
+    intrinsics: see ``IntrinsicsMode``.
+    intrinsics_prior: where they are refined: 'weak', the paper's, or 'stated', the recording's values with
+        ``focal_sigma_px``, ``centre_sigma_px`` and ``distortion_sigma``.
+    robust: kernel of stage 3, on the whitened norm of each corner.
+    sigma_px: standard deviation of a pixel coordinate; None to estimate it from the residuals.
+    stages: those to run, of 1 (Procrustes sweep), 2 (3-D alignment), 3 (pixels).
+    eps: a minimisation stops where an iteration improves the error E by less than eps (1 + E).
+    screen: leave gross views and corners out.
+    pnp_views: at most this many views per camera guide stages 1 and 2.
+    seed: of the random starting rotations.
+    allow_degenerate: solve even where the motion cannot determine the result.
+
+    Raises GtcalError for a choice that makes no sense."""
+
+    intrinsics: IntrinsicsMode = "fixed"
+    intrinsics_prior: Literal["weak", "stated"] = "weak"
+    focal_sigma_px: float = 5.0
+    centre_sigma_px: float = 5.0
+    distortion_sigma: float = 0.01
+    robust: RobustKernel = field(default=GAUSSIAN)
+    sigma_px: float | None = None
+    stages: tuple[int, ...] = (1, 2, 3)
+    eps: float = 1e-4
+    max_iterations: int = 100
+    screen: bool = True
+    pnp_views: int = 300
+    seed: int = 0
+    allow_degenerate: bool = False
+
+    def __post_init__(self) -> None:
+        if not self.stages or not set(self.stages) <= {1, 2, 3} or list(self.stages) != sorted(set(self.stages)):
+            raise GtcalError(f"stages: {self.stages} is not a choice of 1, 2 and 3 in their order")
+        if self.refine_intrinsics and 3 not in self.stages:
+            raise GtcalError("intrinsics are refined in stage 3, but stages leave it out")
+        for name in ("eps", "focal_sigma_px", "centre_sigma_px", "distortion_sigma"):
+            if not getattr(self, name) > 0.0:
+                raise GtcalError(f"{name}: {getattr(self, name)} is not a positive number")
+        if self.sigma_px is not None and not self.sigma_px > 0.0:
+            raise GtcalError(f"sigma_px: {self.sigma_px} is not a positive number")
+
+    @property
+    def calibrate_intrinsics(self) -> bool:
+        return self.intrinsics in ("calibrate", "calibrate+refine")
+
+    @property
+    def refine_intrinsics(self) -> bool:
+        return self.intrinsics in ("refine", "calibrate+refine")

@@ -1,0 +1,88 @@
+"""Gross outliers: views and corners that the chain contradicts, told by robust statistics of all the views.
+
+A mocap swap moves all corners of a view together; a wrong tag moves some corners against their view. So a view is
+judged by the median residual of its corners, and a corner by its residual less its view's median: mocap noise cancels
+in the second, and the first needs no faultless corners.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from gtcal.camera import BoolArray, FloatArray
+from gtcal.estimate import Estimate
+from gtcal.observations import Dropped, Views
+from gtcal.residuals import chain_residuals_px, median_by_view, norms, select_corners
+
+VIEW_GATE = 5.0
+"""A view is out where its median residual is over 5 times the camera's median one. Shifts of views by Gaussian
+mocap noise have a Rayleigh length, which exceeds 5 times its median with probability 2^-25."""
+
+CORNER_GATE = 7.0
+"""A corner is out where it lies over 7 times the median distance from its view's median residual: 8.2 sigma of a
+Gaussian (the median Rayleigh length is 1.18 sigma), to spare room for lens-model error."""
+
+FLOOR_PX = 0.3
+"""No gate below this many pixels: in data without noise nothing is an outlier."""
+
+
+@dataclass(frozen=True)
+class Screened:
+    """The views and corners that stay, by camera; with their masks over the views (V,) and corners (N,) screened."""
+
+    views: dict[str, Views]
+    keep_view: dict[str, BoolArray]
+    keep_corner: dict[str, BoolArray]
+
+    def same_as(self, other: Screened) -> bool:
+        """Whether the same corners stay."""
+        return all(np.array_equal(keep, other.keep_corner[name]) for name, keep in self.keep_corner.items())
+
+    def dropped(self, screened: Mapping[str, Views]) -> tuple[Dropped, ...]:
+        """What was left out of the views that were screened."""
+        found = []
+        for name, views in screened.items():
+            keep_view, keep_corner = self.keep_view[name], self.keep_corner[name]
+            in_kept_view = keep_view[views.view_of_corner]
+            n_views = int((~keep_view).sum())
+            n_single = int((in_kept_view & ~keep_corner).sum())
+            if n_views:
+                reason = "gross view (mocap or detection contradicts the chain)"
+                found.append(Dropped(name, reason, n_views, int((~in_kept_view).sum())))
+            if n_single:
+                found.append(Dropped(name, "gross corner (contradicts its view)", 0, n_single))
+        return tuple(found)
+
+
+def screen(views: Mapping[str, Views], estimate: Estimate) -> Screened:
+    """Drop the views, then the corners, whose residuals under the estimate are gross. At least half of a camera's
+    views stay whatever their residuals are, since the gate is relative to their median."""
+    masks = {name: _masks(of_camera, chain_residuals_px(of_camera, estimate)) for name, of_camera in views.items()}
+    return Screened(
+        {name: select_corners(of_camera, masks[name][1]) for name, of_camera in views.items()},
+        {name: keep_view for name, (keep_view, _) in masks.items()},
+        {name: keep_corner for name, (_, keep_corner) in masks.items()},
+    )
+
+
+def keep_all(views: Mapping[str, Views]) -> Screened:
+    """No screening."""
+    return Screened(
+        dict(views),
+        {name: np.ones(of_camera.n_views, dtype=bool) for name, of_camera in views.items()},
+        {name: np.ones(of_camera.n_corners, dtype=bool) for name, of_camera in views.items()},
+    )
+
+
+def _masks(views: Views, residuals_px: FloatArray) -> tuple[BoolArray, BoolArray]:
+    """Which views (V,) and corners (N,) stay. A corner without a pixel (NaN) counts as infinitely far off."""
+    of_view = median_by_view(views, norms(residuals_px))
+    keep_view = of_view <= max(VIEW_GATE * float(np.median(of_view)), FLOOR_PX)
+    shift = np.stack([median_by_view(views, residuals_px[:, axis]) for axis in range(2)], axis=1)
+    from_view = norms(residuals_px - shift[views.view_of_corner])
+    in_kept_view = keep_view[views.view_of_corner]
+    usual = float(np.median(from_view[in_kept_view]))
+    return keep_view, in_kept_view & (from_view <= max(CORNER_GATE * usual, FLOOR_PX))
