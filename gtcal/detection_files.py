@@ -170,8 +170,8 @@ def _check_in_image(table: TextTable, corners_px: FloatArray, camera: Camera) ->
         x, y = corners_px[bad[0]]
         raise table.error(
             int(bad[0]),
-            f"the pixel ({x:g}, {y:g}) lies outside camera {camera.name!r}'s image of {camera.image_width_px} x "
-            f"{camera.image_height_px}; were the corners found in images of another size?",
+            f"the pixel ({x:g}, {y:g}) lies outside the {camera.image_width_px} x {camera.image_height_px} "
+            f"image of camera {camera.name!r}; were the corners found in images of another size?",
         )
 
 

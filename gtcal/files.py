@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import hashlib
-import os
-import tempfile
+import secrets
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO
@@ -27,24 +26,22 @@ def write_aside(path: Path, *, binary: bool = False) -> Iterator[IO]:
     """Open a new file beside ``path`` for writing and put it in the place of ``path`` on leaving. Where the
     body raises, ``path`` stays as it was. The folder is made where it is missing. Text is UTF-8 with ``\\n``.
 
-    Raises GtcalError where the folder can't be written."""
+    Raises GtcalError where the file can't be written."""
+    aside = path.with_name(f".{path.name}.{secrets.token_hex(4)}.part")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        handle, aside = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=".part")
+        with aside.open("xb") if binary else aside.open("x", encoding="utf-8", newline="\n") as file:
+            yield file
+        aside.replace(path)
     except OSError as error:
-        raise GtcalError(f"{path}: can't be written: {error.strerror}") from error
-    try:
-        os.fchmod(handle, 0o666 & ~_umask())
-        with os.fdopen(handle, "wb") if binary else os.fdopen(handle, "w", encoding="utf-8", newline="\n") as f:
-            yield f
-        Path(aside).replace(path)
-    except BaseException:
-        Path(aside).unlink(missing_ok=True)
-        raise
+        raise GtcalError(f"{path}: can't be written: {error.strerror or error}") from error
+    finally:
+        with suppress(OSError):
+            aside.unlink()
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a text file whole or not at all. Raises GtcalError where the folder can't be written."""
+    """Write a text file whole or not at all. Raises GtcalError where it can't be written."""
     with write_aside(path) as file:
         file.write(text)
 
@@ -66,10 +63,3 @@ def _sha256(path: Path) -> str:
             return hashlib.file_digest(file, "sha256").hexdigest()
     except OSError as error:
         raise GtcalError(f"{path}: can't be read: {error.strerror}") from error
-
-
-def _umask() -> int:
-    """The umask, which mkstemp ignores; the only way to read it is to set it."""
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask

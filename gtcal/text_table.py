@@ -138,7 +138,7 @@ class TextTable:
             fields = self.split(line)
             if len(fields) != len(columns):
                 return GtcalError(
-                    f"{self.path}:{number}: the row has {len(fields)} fields, expected {len(columns)}"
+                    f"{self.path}:{number}: fields in the row: {len(fields)}, expected {len(columns)}"
                     + _damage_hint(line, len(fields) < len(columns))
                 )
             for (name, kind), field in zip(columns, fields, strict=True):
@@ -151,7 +151,7 @@ class TextTable:
 
 def open_table(path: Path, separator: str | None) -> TextTable:
     """Look at the head of a text file of columns. The first line that is no comment holds the column names where
-    its first field is no number. A byte-order mark and any line ending are taken.
+    it doesn't start like a number. A byte-order mark and any line ending are taken.
 
     Raises GtcalError where the file is missing, unreadable or empty."""
     comments: list[str] = []
@@ -162,7 +162,7 @@ def open_table(path: Path, separator: str | None) -> TextTable:
             line = raw.strip()
             if line and not line.startswith("#"):
                 fields = line.partition("#")[0].split(separator)
-                if named or _parses(fields[0].strip(), "number"):
+                if named or line[0] in "+-.0123456789" or _parses(fields[0].strip(), "number"):
                     return TextTable(path, separator, tuple(comments), number, len(fields))
                 named = True
             if line:
@@ -186,6 +186,8 @@ def _open(path: Path) -> IO[str]:
 def _parses(field: str, kind: Kind) -> bool:
     if kind == "ignored":
         return True
+    if "_" in field:  # Python's 1_000 is a damaged number here
+        return False
     try:
         int(field) if kind == "integer" else float(field)
     except ValueError:

@@ -83,7 +83,7 @@ def _named_columns(table: TextTable, header: tuple[str, ...]) -> list[tuple[str,
 def _positional_columns(table: TextTable) -> list[tuple[str, Kind]]:
     if table.n_columns < len(_POSITIONAL):
         raise GtcalError(
-            f"{table.path}:{table.skip_lines + 1}: the row has {table.n_columns} fields separated by commas, "
+            f"{table.path}:{table.skip_lines + 1}: fields separated by commas in the row: {table.n_columns}, "
             "expected 8: time stamp, x, y, z and a quaternion"
         )
     names = [*_POSITIONAL, *(f"ignored_{i}" for i in range(8, table.n_columns))]

@@ -101,7 +101,7 @@ def trajectory_from_rows(
         raise GtcalError(f"{table.path}: there are no poses in the file")
     stamps_ns = table.stamps_ns(rows["stamp"], conventions.time_unit)
     table.check_strictly_increasing(stamps_ns)
-    _check_rate(table.path, stamps_ns, conventions.time_unit)
+    _check_rate(table.path, stamps_ns, body, conventions.time_unit)
     quats = _unit_quaternions(table, np.stack([rows[f"q{i}"] for i in range(4)], axis=1))
     positions_m = np.stack([rows[axis] for axis in "xyz"], axis=1) * _LENGTHS_M[conventions.length_unit]
     poses = poses_from_quaternions(quats, conventions.quaternion, positions_m)
@@ -125,14 +125,14 @@ def _unit_quaternions(table: TextTable, quats: FloatArray) -> FloatArray:
     return quats / norms[:, None]
 
 
-def _check_rate(path: Path, stamps_ns: IntArray, time_unit: TimeUnit) -> None:
+def _check_rate(path: Path, stamps_ns: IntArray, body: str, time_unit: TimeUnit) -> None:
     if len(stamps_ns) < 2:
         return
     rate_hz = 1e9 / float(np.median(np.diff(stamps_ns)))
     if rate_hz > _HIGHEST_RATE_HZ:
         raise GtcalError(
             f"{path}: as {time_unit}, the time stamps mean {rate_hz:.6g} poses a second, and no mocap is faster "
-            f"than {_HIGHEST_RATE_HZ:g}; check time_unit"
+            f"than {_HIGHEST_RATE_HZ:g}; check {body}.time_unit"
         )
 
 

@@ -35,7 +35,7 @@ def read_tum(path: Path, body: str, declared: PoseConventions) -> Trajectory:
     table = open_table(path, None)
     if table.n_columns not in (0, len(_COLUMNS)):
         raise GtcalError(
-            f"{path}:{table.skip_lines + 1}: the row has {table.n_columns} fields separated by white space, "
+            f"{path}:{table.skip_lines + 1}: fields separated by white space in the row: {table.n_columns}, "
             "expected 8: timestamp tx ty tz qx qy qz qw"
         )
     in_file = PoseConventions(quaternion=_stated_order(table))

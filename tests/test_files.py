@@ -1,0 +1,48 @@
+from pathlib import Path
+
+import pytest
+
+from gtcal.errors import GtcalError
+from gtcal.files import fingerprint, write_aside, write_text
+
+
+def test_a_failure_halfway_leaves_the_old_file_and_nothing_else(tmp_path: Path) -> None:
+    path = tmp_path / "result.json"
+    write_text(path, "old")
+
+    def fail_halfway() -> None:
+        with write_aside(path) as file:
+            file.write("half of the n")
+            raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError):
+        fail_halfway()
+    assert path.read_text() == "old"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_text_and_bytes_are_written_into_folders_that_are_not_there_yet(tmp_path: Path) -> None:
+    write_text(tmp_path / "a" / "b" / "text", "µ\n")
+    assert (tmp_path / "a" / "b" / "text").read_bytes() == "µ\n".encode()
+    with write_aside(tmp_path / "c" / "bytes", binary=True) as file:
+        file.write(b"\x00\xff")
+    assert (tmp_path / "c" / "bytes").read_bytes() == b"\x00\xff"
+
+
+def test_a_place_that_takes_no_file_is_named(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(GtcalError, match=r"file/result\.json: can't be written"):
+        write_text(tmp_path / "file" / "result.json", "")
+
+
+def test_fingerprint_is_sha256_and_tells_folders_apart_by_name_and_content(tmp_path: Path) -> None:
+    (tmp_path / "one").write_bytes(b"abc")
+    known = "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"
+    assert fingerprint(tmp_path / "one").sha256 == known
+    before = fingerprint(tmp_path).sha256
+    (tmp_path / "one").rename(tmp_path / "two")
+    renamed = fingerprint(tmp_path).sha256
+    (tmp_path / "two").write_bytes(b"abd")
+    assert len({before, renamed, fingerprint(tmp_path).sha256}) == 3
+    with pytest.raises(GtcalError, match="absent: can't be read"):
+        fingerprint(tmp_path / "absent")
