@@ -77,8 +77,7 @@ def _corner_ids_as_given(table: TextTable, rows: npt.NDArray, board: Board) -> I
     if len(bad):
         raise table.error(
             int(bad[0]),
-            f"corner_id {ids[bad[0]]} is not on the board; expected 0 to {board.n_corners - 1} "
-            f"({board.describe()})",
+            f"corner_id {ids[bad[0]]} is not on the board; expected 0 to {board.n_corners - 1} ({board.describe()})",
         )
     return ids
 

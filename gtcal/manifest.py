@@ -108,12 +108,8 @@ class Manifest(_Entry):
         description="The board: a preset, or a type and its fields."
     )
     cameras: dict[str, CameraEntry] = Field(min_length=1, description="The cameras by name.")
-    platform: TrajectoryEntry | None = Field(
-        default=None, description="The tracked body that carries the cameras."
-    )
-    board_body: TrajectoryEntry | None = Field(
-        default=None, description="The tracked body that carries the board."
-    )
+    platform: TrajectoryEntry | None = Field(default=None, description="The tracked body that carries the cameras.")
+    board_body: TrajectoryEntry | None = Field(default=None, description="The tracked body that carries the board.")
     max_gap_ms: float | None = Field(
         default=None,
         gt=0,

@@ -71,13 +71,12 @@ class Recording:
             for name in owners:
                 if name not in self.cameras:
                     raise GtcalError(
-                        f"camera {name!r} has {what} but is not in the recording; "
-                        f"cameras: {', '.join(self.cameras)}"
+                        f"camera {name!r} has {what} but is not in the recording; cameras: {', '.join(self.cameras)}"
                     )
         for name in self.cameras:
             if name not in self.detections and name not in self.images:
                 raise GtcalError(f"camera {name!r} has neither images nor detections")
-        _ = self.motion
+        _ = self.motion  # checks the bodies against the capture
 
     @cached_property
     def motion(self) -> RefMotion:

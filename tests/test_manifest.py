@@ -124,9 +124,7 @@ def test_yaml_is_read_as_people_mean_it(tmp_path: Path) -> None:
         ),
     ],
 )
-def test_a_wrong_field_is_named_with_what_was_expected(
-    manifest: dict[str, Any], message: str, tmp_path: Path
-) -> None:
+def test_a_wrong_field_is_named_with_what_was_expected(manifest: dict[str, Any], message: str, tmp_path: Path) -> None:
     with pytest.raises(GtcalError, match=message) as caught:
         read_manifest(written(tmp_path, manifest))
     assert str(caught.value).startswith(f"{tmp_path}/recording.yaml: ")

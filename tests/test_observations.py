@@ -18,17 +18,14 @@ MS = 1_000_000
 
 
 def as_capture(recording: Recording, capture: Capture) -> Recording:
-    bodies = {
-        name: getattr(recording, name) if name in capture.bodies else None for name in ("platform", "board_body")
-    }
+    bodies = {name: getattr(recording, name) if name in capture.bodies else None for name in ("platform", "board_body")}
     return replace(recording, capture=capture, **bodies)
 
 
 def with_stamps(recording: Recording, change: Callable[[np.ndarray], np.ndarray]) -> Recording:
     """The same detections at other times."""
     detections = {
-        name: replace(columns, stamps_ns=change(columns.stamps_ns))
-        for name, columns in recording.detections.items()
+        name: replace(columns, stamps_ns=change(columns.stamps_ns)) for name, columns in recording.detections.items()
     }
     return replace(recording, detections=detections)
 
@@ -91,9 +88,7 @@ def test_views_of_one_instant_share_a_frame(small_recording: Recording) -> None:
     assert observations.n_frames == 4 + 2 * 6
     for views in observations.views.values():
         np.testing.assert_array_equal(observations.frame_stamps_ns[views.frame_index], views.stamps_ns)
-    assert (
-        observations.views["left"].frame_index[:4].tolist() == observations.views["right"].frame_index[:4].tolist()
-    )
+    assert observations.views["left"].frame_index[:4].tolist() == observations.views["right"].frame_index[:4].tolist()
 
 
 def test_what_is_dropped_is_counted_by_camera_and_first_reason(small_recording: Recording) -> None:
@@ -157,9 +152,7 @@ def test_a_camera_that_loses_all_its_views_is_told_why(small_recording: Recordin
         GtcalError, match=r"camera 'left' has no views left.*: 10 gap > 200 ms in platform \(.*every 0\.492 s"
     ):
         synchronise(replace(small_recording, platform=sparse))
-    few = {
-        name: random_detections(camera, 9, np.array([5, 6]), 0) for name, camera in small_recording.cameras.items()
-    }
+    few = {name: random_detections(camera, 9, np.array([5, 6]), 0) for name, camera in small_recording.cameras.items()}
     few = {
         name: replace(columns, stamps_ns=small_recording.detections[name].stamps_ns[:2])
         for name, columns in few.items()

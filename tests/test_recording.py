@@ -44,8 +44,7 @@ def test_what_is_written_is_loaded_again(
     capture: Capture, max_gap_s: float | None, small_recording: Recording, tmp_path: Path
 ) -> None:
     bodies = {
-        name: getattr(small_recording, name) if name in capture.bodies else None
-        for name in ("platform", "board_body")
+        name: getattr(small_recording, name) if name in capture.bodies else None for name in ("platform", "board_body")
     }
     recording = replace(small_recording, capture=capture, max_gap_s=max_gap_s, **bodies)
     path = write_recording(recording, tmp_path / "out")
@@ -102,9 +101,7 @@ def test_the_real_vicon_recording(capture: Capture, given_corners: bool, vicon_r
 def test_images_of_another_size_than_stated_are_refused(vicon_recording: Callable) -> None:
     folder = vicon_recording()
     replace_once(folder / "recording.yaml", "[640, 480]", "[1280, 960]")
-    with pytest.raises(
-        GtcalError, match=r"1606153907495166540\.jpg: the image is 640 x 480 pixels, but .* 1280 x 960"
-    ):
+    with pytest.raises(GtcalError, match=r"1606153907495166540\.jpg: the image is 640 x 480 pixels, but .* 1280 x 960"):
         load_recording(folder)
 
 
@@ -198,9 +195,7 @@ def test_metres_declared_as_millimetres_are_noticed_when_nothing_moves(
     for name in ("platform", "board_body"):
         replace_once(tmp_path / f"{name}.csv", "p_RS_R_x [m], p_RS_R_y [m], p_RS_R_z [m]", "x, y, z")
         replace_once(tmp_path / "recording.yaml", f"{name}.csv,", f"{name}.csv, length_unit: mm,")
-    with pytest.raises(
-        GtcalError, match=r"recording\.yaml: platform\.length_unit: as mm, no body moves by more than"
-    ):
+    with pytest.raises(GtcalError, match=r"recording\.yaml: platform\.length_unit: as mm, no body moves by more than"):
         load_recording(tmp_path)
 
 

@@ -168,6 +168,9 @@ def test_tum_is_seconds_metres_and_xyzw_unless_said_otherwise(tmp_path: Path) ->
             METRES,
             r"body.csv:1: the header names the columns timestamp \[ns\], x",
         ),
+        ("timestamp [ns],x [cm],y [cm],z [cm],qx,qy,qz,qw", METRES, "header has x in cm, .*expected one unit of m, mm"),
+        ("timestamp [ns],x [mm],y [mm],z [m],qx,qy,qz,qw", METRES, "x in mm, y in mm, z in m; expected one unit"),
+        ("timestamp [sec],x,y,z,qx,qy,qz,qw", METRES, "header has stamp in sec; expected one unit of ns, us, ms, s"),
         ("timestamp [ns],x,y,z,qx,qw,qz,qy", METRES, "qx, qw, qz, qy; expected"),
         ("frame,x,y,z,qx,qy,qz,qw", METRES, "expected a timestamp first"),
     ],
@@ -247,9 +250,7 @@ def test_missing_and_empty_files_are_named(read: Callable, tmp_path: Path) -> No
 def test_millimetres_declared_as_metres_are_noticed(tmp_path: Path) -> None:
     rows = (f"{EPOCH_NS + 8_333_333 * i},{-500 + i},1250,2000,0,0,0,1" for i in range(5))
     path = csv(tmp_path, PLAIN_HEADER, *rows)
-    with pytest.raises(
-        GtcalError, match=r"positions are 2410.* m from the mocap origin.*platform.length_unit: mm"
-    ):
+    with pytest.raises(GtcalError, match=r"positions are 2410.* m from the mocap origin.*platform.length_unit: mm"):
         read_euroc_csv(path, "platform", METRES)
     assert read_euroc_csv(path, "platform", PoseConventions(length_unit="mm")).world_T_body[0, 0, 3] == -0.5
 
@@ -269,9 +270,7 @@ def test_quaternions_rounded_to_three_decimals_are_made_unit(tmp_path: Path) -> 
 def test_a_million_rows_would_take_seconds(tmp_path: Path) -> None:
     """50,000 rows in a twentieth of the time that is allowed for a million: twenty seconds on a busy machine."""
     trajectory = wandering_trajectory("b", n=200)
-    repeated = Trajectory(
-        "b", EPOCH_NS + 8_333_333 * np.arange(50_000), np.tile(trajectory.world_T_body, (250, 1, 1))
-    )
+    repeated = Trajectory("b", EPOCH_NS + 8_333_333 * np.arange(50_000), np.tile(trajectory.world_T_body, (250, 1, 1)))
     write_euroc_csv(tmp_path / "long.csv", repeated)
     start = time.perf_counter()
     assert read_euroc_csv(tmp_path / "long.csv", "b", PoseConventions()).n_samples == 50_000

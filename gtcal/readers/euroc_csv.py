@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import get_args
+from typing import Any, get_args
 
 import numpy as np
 
@@ -23,7 +23,7 @@ from gtcal.readers.poses import (
     trajectory_from_rows,
 )
 from gtcal.text_table import Kind, TextTable, open_table
-from gtcal.trajectory import Trajectory, quaternions_from_poses
+from gtcal.trajectory import QuaternionOrder, Trajectory, quaternions_from_poses
 
 _UNIT = re.compile(r"^(?P<name>.*?)\s*(?:[\[(](?P<bracketed>[^\])]*)[\])]|_(?P<suffix>ns|us|ms|s|m|mm))?$")
 _STAMP = re.compile(r"^(timestamp|time|stamp|ts|t)$")
@@ -41,7 +41,7 @@ def read_euroc_csv(path: Path, body: str, declared: PoseConventions) -> Trajecto
     table = open_table(path, ",")
     header = table.header()
     columns = _named_columns(table, header) if header else _positional_columns(table)
-    conventions = settle(path, body, _stated(header), declared)
+    conventions = settle(path, body, _stated(path, header), declared)
     return trajectory_from_rows(table, body, table.read(columns), conventions)
 
 
@@ -74,10 +74,14 @@ def _named_columns(table: TextTable, header: tuple[str, ...]) -> list[tuple[str,
     missing = set(_POSITIONAL) - {name for name, _ in columns}
     if missing or _order(header) is None:
         raise GtcalError(
-            f"{table.path}:{table.skip_lines}: the header names the columns {', '.join(header)}; expected a "
+            f"{table.path}:{table.skip_lines}: the header names the columns {_shown(header)}; expected a "
             "timestamp first, then x, y, z and the quaternion as qx, qy, qz, qw or qw, qx, qy, qz"
         )
     return columns
+
+
+def _shown(header: tuple[str, ...]) -> str:
+    return ", ".join(header[:12]) + (f" and {len(header) - 12} more" if len(header) > 12 else "")
 
 
 def _positional_columns(table: TextTable) -> list[tuple[str, Kind]]:
@@ -114,23 +118,31 @@ def _role(column: str) -> str:
     return f"q{match['axis']}" if match else ""
 
 
-def _order(header: tuple[str, ...]) -> str | None:
+def _order(header: tuple[str, ...]) -> QuaternionOrder | None:
     """The order of the quaternion's columns where they are one of the two that are in use."""
     axes = "".join(_role(column)[1] for column in header if _role(column).startswith("q"))[:4]
-    return axes if axes in ("xyzw", "wxyz") else None
+    return axes if axes in get_args(QuaternionOrder) else None  # type: ignore[return-value]
 
 
-def _stated(header: tuple[str, ...]) -> PoseConventions:
+def _stated(path: Path, header: tuple[str, ...]) -> PoseConventions:
     """What the names of the columns say. ASL's own names (p_RS_R_x) say that the poses are those of the sensor in
     the reference frame, and ASL's stamps are nanoseconds."""
     if not header:
         return PoseConventions()
-    units = {_role(column): _split_unit(column)[1] for column in reversed(header)}
     asl = any(_split_unit(column)[0].startswith("p_rs_r_") for column in header)
-    time_unit = units.get("stamp") or ("ns" if asl else "")
     return PoseConventions(
-        quaternion=_order(header),  # type: ignore[arg-type]
-        length_unit=units.get("x") if units.get("x") in get_args(LengthUnit) else None,  # type: ignore[arg-type]
-        time_unit=time_unit if time_unit in get_args(TimeUnit) else None,  # type: ignore[arg-type]
+        quaternion=_order(header),
+        length_unit=_stated_unit(path, header, ("x", "y", "z"), get_args(LengthUnit)),
+        time_unit=_stated_unit(path, header, ("stamp",), get_args(TimeUnit)) or ("ns" if asl else None),
         pose="world_T_body" if asl else None,
     )
+
+
+def _stated_unit(path: Path, header: tuple[str, ...], roles: tuple[str, ...], choices: tuple[str, ...]) -> Any:
+    """The unit that the columns of these roles have in common, or None."""
+    units = {role: _split_unit(column)[1] for column in reversed(header) if (role := _role(column)) in roles}
+    stated = set(units.values())
+    if len(stated) > 1 or not stated <= {"", *choices}:
+        listed = ", ".join(f"{role} in {unit or 'nothing'}" for role, unit in sorted(units.items()))
+        raise GtcalError(f"{path}: the header has {listed}; expected one unit of {', '.join(choices)}")
+    return stated.pop() or None

@@ -69,9 +69,7 @@ def settle(path: Path, body: str, in_file: PoseConventions, declared: PoseConven
     of the poses it is world_T_body, the pose of the body in the world, as mocap software exports it.
 
     Raises GtcalError where they contradict each other, or both leave the quaternion order or a unit open."""
-    settled = {
-        field.name: _settle_one(path, body, field.name, in_file, declared) for field in fields(PoseConventions)
-    }
+    settled = {field.name: _settle_one(path, body, field.name, in_file, declared) for field in fields(PoseConventions)}
     return SettledConventions(**settled)
 
 
@@ -90,9 +88,7 @@ def _settle_one(path: Path, body: str, name: str, in_file: PoseConventions, decl
     return said or claimed or "world_T_body"
 
 
-def trajectory_from_rows(
-    table: TextTable, body: str, rows: npt.NDArray, conventions: SettledConventions
-) -> Trajectory:
+def trajectory_from_rows(table: TextTable, body: str, rows: npt.NDArray, conventions: SettledConventions) -> Trajectory:
     """The trajectory of a table read with the columns stamp, x, y, z and q0..q3.
 
     Raises GtcalError with file and line where a time stamp repeats or goes backward, a quaternion is not of unit

@@ -64,9 +64,7 @@ def _with_format(in_file: PoseConventions, declared: PoseConventions) -> PoseCon
     """What is declared, and the format's own where neither the manifest nor the file says otherwise."""
     return PoseConventions(
         **{
-            field.name: getattr(declared, field.name)
-            or getattr(in_file, field.name)
-            or getattr(_FORMAT, field.name)
+            field.name: getattr(declared, field.name) or getattr(in_file, field.name) or getattr(_FORMAT, field.name)
             for field in fields(PoseConventions)
         }
     )
