@@ -10,6 +10,7 @@ from gtcal.capture import Capture
 from gtcal.errors import GtcalError
 from gtcal.simulation.corners import CornerNoise
 from gtcal.simulation.noise import MocapNoise
+from gtcal.simulation.rendering import ImageOptions
 from gtcal.simulation.rig import Rig, quest3_like_rig
 from gtcal.simulation.visibility import ViewLimits
 from gtcal.simulation.waypoints import MotionKind
@@ -34,9 +35,12 @@ class SimulationOptions:
 
     duration_s, camera_rate_hz: the camera takes frames at this rate, all cameras at the same moments.
     n_frames: keep this many of them, evenly spread, as a person picks key frames; None for all.
+    limits, corners: what the detector reads and how well, where detections stand in for images.
     mocap_rate_hz: the mocap samples at its own rate, at other moments than the cameras.
     swap_share, swap_duration_s: share of the frames spoilt by grossly wrong mocap poses, and how long one lasts.
     clock_offset_s: the stamps of the cameras run ahead of the mocap's clock: one number for all, or one each.
+    intrinsics: which ones the recording states.
+    images: how images come about, where they are rendered.
     Raises GtcalError where a value is out of range.
     """
 
@@ -56,6 +60,7 @@ class SimulationOptions:
     clock_offset_s: float | tuple[float, ...] = 0.0
     intrinsics: IntrinsicsGiven = "true"
     intrinsics_error: IntrinsicsError = field(default_factory=IntrinsicsError)
+    images: ImageOptions = field(default_factory=ImageOptions)
 
     def __post_init__(self) -> None:
         for name in ("duration_s", "camera_rate_hz", "mocap_rate_hz", "swap_duration_s"):

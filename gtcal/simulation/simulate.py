@@ -22,7 +22,10 @@ _MOCAP_LEAD_S = 0.5  # the mocap runs before the first frame and after the last 
 
 @dataclass(frozen=True)
 class Simulation:
-    """A simulated recording at the level of detections, its ground truth, and the world it was taken in."""
+    """A simulated recording at the level of detections, its ground truth, and the world it was taken in.
+
+    frame_times_s: (F,) when the cameras took their frames, in seconds since the start, by the mocap's clock.
+    """
 
     recording: Recording
     truth: GroundTruth
@@ -30,6 +33,10 @@ class Simulation:
     frame_times_s: FloatArray
     options: SimulationOptions
     seed: int
+
+    def stream(self, name: str, *indices: int) -> np.random.Generator:
+        """The random numbers of one part of the images."""
+        return _stream(self.seed, name, *indices)
 
 
 def simulate(options: SimulationOptions, *, seed: int) -> Simulation:
@@ -70,7 +77,7 @@ def simulate(options: SimulationOptions, *, seed: int) -> Simulation:
     return Simulation(recording, truth, scene, times_s, options, seed)
 
 
-_STREAMS = ("scene", "swaps", "platform", "board_body", "intrinsics", "corners", "images")
+_STREAMS = ("scene", "swaps", "platform", "board_body", "intrinsics", "corners", "room", "lens", "sensor")
 
 
 def _stream(seed: int, name: str, *indices: int) -> np.random.Generator:
@@ -116,9 +123,7 @@ def _trajectory(bodies: dict[str, MocapSamples], name: str) -> Trajectory | None
     return Trajectory(name, stamps_ns(bodies[name].times_s), bodies[name].world_T_body)
 
 
-def _corners(
-    scene: Scene, options: SimulationOptions, times_s: FloatArray, index: int, seed: int
-) -> MeasuredCorners:
+def _corners(scene: Scene, options: SimulationOptions, times_s: FloatArray, index: int, seed: int) -> MeasuredCorners:
     return measured_corners(
         options.rig.cameras[index],
         scene.camera_T_board(index, times_s),

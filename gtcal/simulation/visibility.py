@@ -53,9 +53,7 @@ def features_of(board: Board) -> Features:
     return Features(board.corners_m[:, None] + around, np.arange(board.n_corners))
 
 
-def visible_features(
-    camera: Camera, camera_T_board: FloatArray, features: Features, limits: ViewLimits
-) -> BoolArray:
+def visible_features(camera: Camera, camera_T_board: FloatArray, features: Features, limits: ViewLimits) -> BoolArray:
     """(V, G) whether each feature can be measured in views from camera_T_board (V, 4, 4)."""
     n_views, n_features = len(camera_T_board), features.n_features
     points_m = features.outlines_m.reshape(-1, 3)

@@ -105,9 +105,7 @@ def _resting_rotation(rig: Rig, rng: np.random.Generator) -> Rotation:
     return _facing(-sight[None], rng)[0] if np.linalg.norm(sight) > 0.1 else Rotation.random(rng=rng)
 
 
-def head_waypoints(
-    world_T_home: FloatArray, up_in_rig: FloatArray, rng: np.random.Generator
-) -> Iterator[FloatArray]:
+def head_waypoints(world_T_home: FloatArray, up_in_rig: FloatArray, rng: np.random.Generator) -> Iterator[FloatArray]:
     """Endless world_T_rig (4, 4) of a rig carried about its home (4, 4): it looks around, nods and leans."""
     while True:
         yaw = rng.uniform(-1.0, 1.0) * up_in_rig

@@ -1,0 +1,109 @@
+"""The images of a simulated recording, rendered on all cores."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from factors.rigid import inverse
+from gtcal.files import write_aside
+from gtcal.images import GreyImage, ImageSequence
+from gtcal.progress import Progress
+from gtcal.simulation.backdrop import GreyPicture, room
+from gtcal.simulation.rendering import Lens, Plate, lens_of, plate_of, render, sub_exposures
+from gtcal.simulation.simulate import Simulation
+
+
+@dataclass(frozen=True)
+class Studio:
+    """What all images of a simulation have in common."""
+
+    simulation: Simulation
+
+    @cached_property
+    def plate(self) -> Plate:
+        return plate_of(self.simulation.options.board)
+
+    @cached_property
+    def room(self) -> GreyPicture:
+        return room(self.simulation.stream("room"))
+
+    def lens(self, camera_index: int) -> Lens:
+        camera = self.simulation.options.rig.cameras[camera_index]
+        return lens_of(camera, self.simulation.options.images, self.simulation.stream("lens", camera_index))
+
+    def take(self, lens: Lens, camera_index: int, frame: int) -> GreyImage:
+        """The image that one camera, with its ``lens``, takes of one frame: the same each time."""
+        options, scene = self.simulation.options.images, self.simulation.scene
+        time_s = self.simulation.frame_times_s[frame]
+        ends_s = time_s + options.exposure_s * np.array([-0.5, 0.5])
+        n = sub_exposures(lens.camera, self.plate, scene.camera_T_board(camera_index, ends_s))
+        steps_s = options.exposure_s * ((np.arange(n) + 0.5) / n - 0.5)
+        camera_T_board = scene.camera_T_board(camera_index, time_s + steps_s)
+        camera_T_world = inverse(scene.world_T_camera(camera_index, np.array([time_s])))[0]
+        noise = self.simulation.stream("sensor", camera_index, frame)
+        return render(lens, self.plate, self.room, camera_T_board, camera_T_world, options, noise)
+
+
+def film(simulation: Simulation, folder: Path, progress: Progress) -> dict[str, ImageSequence]:
+    """Render every frame of every camera into ``folder/<camera>/<stamp_ns>.png``.
+
+    Raises GtcalError where the folder can't be written."""
+    studio = Studio(simulation)
+    done, total = 0, len(simulation.options.rig.cameras) * len(simulation.frame_times_s)
+    sequences = {}
+    with _one_opencv_thread(), _all_cores() as pool:
+        for index, camera in enumerate(simulation.options.rig.cameras):
+            stamps_ns = simulation.truth.cameras[camera.name].stamps_ns
+            paths = tuple(folder / camera.name / f"{stamp}.png" for stamp in stamps_ns.tolist())
+            for _ in pool.map(_Shoot(studio, studio.lens(index), index, paths), range(len(paths))):
+                done += 1
+                progress("rendering images", done, total)
+            sequences[camera.name] = ImageSequence(stamps_ns, paths)
+    return sequences
+
+
+@dataclass(frozen=True)
+class _Shoot:
+    """Takes and writes one frame of one camera after the other."""
+
+    studio: Studio
+    lens: Lens
+    camera_index: int
+    paths: tuple[Path, ...]
+
+    def __call__(self, frame: int) -> None:
+        image = self.studio.take(self.lens, self.camera_index, frame)
+        _, encoded = cv2.imencode(".png", image)
+        with write_aside(self.paths[frame], binary=True) as file:
+            file.write(encoded.tobytes())
+
+
+@contextmanager
+def _all_cores() -> Iterator[ThreadPoolExecutor]:
+    """A pool that drops what is still queued where something fails or the user interrupts."""
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        try:
+            yield pool
+        except BaseException:
+            pool.shutdown(cancel_futures=True)
+            raise
+
+
+@contextmanager
+def _one_opencv_thread() -> Iterator[None]:
+    """The images already take all cores."""
+    before = cv2.getNumThreads()
+    cv2.setNumThreads(1)
+    try:
+        yield
+    finally:
+        cv2.setNumThreads(before)
