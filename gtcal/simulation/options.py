@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -67,8 +68,9 @@ class SimulationOptions:
             if not getattr(self, name) > 0.0:
                 raise GtcalError(f"{name} is {getattr(self, name)}; expected a number above 0")
         self._check_shares()
+        self._check_noise()
         available = self.n_frames_taken
-        if self.n_frames is not None and not 1 <= self.n_frames <= available:
+        if not 1 <= (available if self.n_frames is None else self.n_frames) <= available:
             raise GtcalError(
                 f"n_frames is {self.n_frames}; expected 1 to {available}, what {self.duration_s:g} s at "
                 f"{self.camera_rate_hz:g} Hz have: lengthen duration_s or ask for fewer"
@@ -90,6 +92,22 @@ class SimulationOptions:
         for name, share in shares.items():
             if not 0.0 <= share < 1.0:
                 raise GtcalError(f"{name} is {share}; expected a share, from 0 to below 1")
+
+    def _check_noise(self) -> None:
+        limits = {
+            "corners.pixel_px": (self.corners.pixel_px, 100.0),
+            "mocap.translation_mm": (self.mocap.translation_mm, 1000.0),
+            "mocap.rotation_deg": (self.mocap.rotation_deg, 180.0),
+            "mocap.correlation_s": (self.mocap.correlation_s, math.inf),
+            "mocap.jitter_s": (self.mocap.jitter_s, 0.05),
+            "images.blur_px": (self.images.blur_px, 20.0),
+            "images.exposure_s": (self.images.exposure_s, 0.2),
+            "images.dark_noise_grey": (self.images.dark_noise_grey, 255.0),
+            "images.light_noise_grey": (self.images.light_noise_grey, 255.0),
+        }
+        for name, (value, most) in limits.items():
+            if not 0.0 <= value <= most:
+                raise GtcalError(f"{name} is {value}; expected 0 to {most:g}")
 
     @property
     def n_frames_taken(self) -> int:

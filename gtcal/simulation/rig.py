@@ -34,7 +34,11 @@ class Rig:
     farthest_m: float
 
     def scaled(self, factor: float) -> Rig:
-        """The same rig with images of ``factor`` times the width and height, rounded down to whole pixels."""
+        """The same rig with images of ``factor`` times the width and height, rounded down to whole pixels.
+
+        Raises GtcalError where that leaves no image."""
+        if not 0.02 <= factor <= 10.0:
+            raise GtcalError(f"the images' scale is {factor}; expected 0.02 to 10")
         return replace(self, cameras=tuple(scaled_camera(camera, factor) for camera in self.cameras))
 
 

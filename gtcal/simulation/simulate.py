@@ -8,6 +8,7 @@ import numpy as np
 
 from gtcal.camera import Camera, FloatArray
 from gtcal.detections import IntArray
+from gtcal.errors import GtcalError
 from gtcal.recording import Recording
 from gtcal.simulation.corners import MeasuredCorners, measured_corners
 from gtcal.simulation.noise import MocapSamples, measured_body, random_swaps
@@ -43,7 +44,11 @@ def simulate(options: SimulationOptions, *, seed: int) -> Simulation:
     """Simulate a recording with detections in place of images.
 
     The seed decides everything, bit for bit. The motion, the bodies' frames and the frames' times depend on
-    it and on what is filmed, not on the noise; each kind of noise has a random stream of its own."""
+    it and on what is filmed, not on the noise; each kind of noise has a random stream of its own.
+
+    Raises GtcalError for a negative seed."""
+    if seed < 0:
+        raise GtcalError(f"seed is {seed}; expected a whole number, 0 or more")
     scene = random_scene(
         options.capture,
         options.rig,

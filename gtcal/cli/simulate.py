@@ -1,0 +1,137 @@
+"""gtcal simulate: a recording whose answer is known."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import tyro
+
+if TYPE_CHECKING:
+    from gtcal.board import Board
+
+RigName = Literal["headset", "fixed"]
+CaptureName = Literal["tracked_platform", "standing_board", "fixed_cameras"]
+
+
+def simulate(
+    output: Annotated[Path, tyro.conf.arg(aliases=["-o"])],
+    *,
+    images: bool = False,
+    rig: RigName = "headset",
+    capture: CaptureName | None = None,
+    board: str = "paper_a2",
+    seed: int = 0,
+    frames: int = 80,
+    duration_s: float = 60.0,
+    image_scale: float = 1.0,
+    motion: Literal["free", "single_axis", "translation"] = "free",
+    pixel_noise_px: float = 0.1,
+    missed_share: float = 0.0,
+    wrong_tag_share: float = 0.0,
+    wrong_corner_share: float = 0.0,
+    mocap_rate_hz: float = 120.0,
+    mocap_noise_mm: float = 0.1,
+    mocap_noise_deg: float = 0.01,
+    mocap_correlation_s: float = 0.0,
+    mocap_jitter_ms: float = 0.0,
+    mocap_gap_share: float = 0.0,
+    swap_share: float = 0.0,
+    clock_offset_ms: float = 0.0,
+    intrinsics: Literal["true", "perturbed", "none"] = "true",
+    quiet: Annotated[bool, tyro.conf.arg(aliases=["-q"])] = False,
+) -> None:
+    """Simulate a recording with known ground truth, to try gtcal on or to plan a capture.
+
+    Writes a folder that 'gtcal detect' and 'gtcal calibrate' read like any other, and ground_truth.json beside
+    it: every camera_T_ref, body_T_board, the intrinsics, the true motion, and what was spoilt on purpose. The
+    same options and seed give the same files, byte for byte.
+
+    Args:
+        output: Folder to write; it must be new or empty.
+        images: Render images (25 s for the default 4 x 80 of 1280 x 1024 on two cores) in place of simulated
+            detections (instantly).
+        rig: 'headset': four Fisheye62 cameras like a Quest 3's, two in front and two on the sides. 'fixed': four
+            cameras with pinhole and Kannala-Brandt lenses on half a circle around a volume.
+        capture: Who is tracked. 'tracked_platform': the rig and the board. 'standing_board': the rig; the board
+            stands still. 'fixed_cameras': the board; the cameras stand still. By default what suits the rig.
+        board: 'paper_a2', or a YAML file with a board block as in a recording's manifest.
+        seed: Decides everything random.
+        frames: Frames per camera, evenly spread over the duration.
+        duration_s: Length of the recording.
+        image_scale: Size of the images as a share of 1280 x 1024, lens and all.
+        motion: 'free': rich, as it should be. 'single_axis' and 'translation': too poor to find everything, to see
+            what gtcal says then.
+        pixel_noise_px: 1-sigma of simulated corners, each coordinate. Like the next three it does not matter to
+            images: there the detector makes its own errors.
+        missed_share: Share of readable tags that the simulated detector misses.
+        wrong_tag_share: Share of tags that it takes for another.
+        wrong_corner_share: Share of corners that it puts 5 to 50 px aside.
+        mocap_rate_hz: Sampling rate of the mocap; its samples do not coincide with frames.
+        mocap_noise_mm: 1-sigma of a tracked body's position, each coordinate.
+        mocap_noise_deg: 1-sigma of a tracked body's orientation, about each axis.
+        mocap_correlation_s: Time over which the mocap's noise forgets itself; 0 for white noise.
+        mocap_jitter_ms: 1-sigma of the mocap's time stamps.
+        mocap_gap_share: Share of the mocap's samples lost in gaps of 0.25 s.
+        swap_share: Share of the frames in which the mocap gives a grossly wrong pose (a marker swap).
+        clock_offset_ms: The cameras' stamps run ahead of the mocap's clock by this.
+        intrinsics: What the recording says about the lenses: the truth, wrong values, or nothing.
+        quiet: Show no progress and print nothing.
+    """
+    from gtcal.capture import Capture
+    from gtcal.cli.progress import shown_progress
+    from gtcal.simulation import (
+        CornerNoise,
+        MocapNoise,
+        SimulationOptions,
+        fixed_cameras_rig,
+        quest3_like_rig,
+        write_simulation,
+    )
+    from gtcal.simulation import simulate as run
+
+    cameras = quest3_like_rig() if rig == "headset" else fixed_cameras_rig()
+    usual = Capture.TRACKED_PLATFORM if rig == "headset" else Capture.FIXED_CAMERAS
+    options = SimulationOptions(
+        rig=cameras if image_scale == 1.0 else cameras.scaled(image_scale),
+        board=_board(board),
+        capture=usual if capture is None else Capture(capture),
+        motion=motion,
+        duration_s=duration_s,
+        n_frames=frames,
+        corners=CornerNoise(pixel_noise_px, missed_share, wrong_tag_share, wrong_corner_share),
+        mocap_rate_hz=mocap_rate_hz,
+        mocap=MocapNoise(mocap_noise_mm, mocap_noise_deg, mocap_correlation_s, 1e-3 * mocap_jitter_ms, mocap_gap_share),
+        swap_share=swap_share,
+        clock_offset_s=1e-3 * clock_offset_ms,
+        intrinsics=intrinsics,
+    )
+    with shown_progress(quiet) as progress:
+        manifest = write_simulation(run(options, seed=seed), output, images=images, progress=progress)
+    if not quiet:
+        print(f"{manifest}: {frames} frames of {len(cameras.cameras)} cameras; the truth is in ground_truth.json")
+
+
+def _board(name: str) -> Board:
+    """A preset, or the board of a YAML file: a board block by itself, or in a manifest.
+
+    Raises GtcalError where it is neither."""
+    import yaml
+
+    from gtcal.board import PRESETS, board_from_manifest
+    from gtcal.errors import GtcalError
+
+    if name in PRESETS:
+        return PRESETS[name]
+    try:
+        block = yaml.safe_load(Path(name).read_text(encoding="utf-8"))
+    except OSError as error:
+        presets = ", ".join(PRESETS)
+        raise GtcalError(f"board {name!r} is no preset ({presets}) and no file: {error.strerror}") from error
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise GtcalError(f"{name}: is not valid YAML: {' '.join(str(error).split())}") from error
+    inner = block["board"] if isinstance(block, dict) and "board" in block else block
+    try:
+        return board_from_manifest(inner)
+    except GtcalError as error:
+        raise GtcalError(f"{name}: {error}") from error
