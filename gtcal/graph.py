@@ -122,6 +122,9 @@ def reprojection_graph(
     return graph
 
 
+_LARGEST_DAMPING = 1e9
+
+
 @dataclass(frozen=True)
 class Minimisation:
     """Where the minimisation ended, and the graph's error at its start and after each iteration."""
@@ -138,8 +141,13 @@ class Minimisation:
 def minimise(
     graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, *, eps: float, max_iterations: int
 ) -> Minimisation:
-    """Levenberg-Marquardt until an iteration improves the error E by less than eps (1 + E)."""
-    optimizer = gtsam.LevenbergMarquardtOptimizer(graph, values, gtsam.LevenbergMarquardtParams())
+    """Levenberg-Marquardt until an iteration improves the error E by less than eps (1 + E).
+
+    Damped by the Hessian's diagonal: rad, m, px and distortion coefficients stand side by side in one graph."""
+    parameters = gtsam.LevenbergMarquardtParams()
+    parameters.setDiagonalDamping(True)
+    parameters.setlambdaUpperBound(_LARGEST_DAMPING)
+    optimizer = gtsam.LevenbergMarquardtOptimizer(graph, values, parameters)
     errors = [optimizer.error()]
     while len(errors) <= max_iterations:
         optimizer.iterate()
