@@ -17,6 +17,7 @@ import numpy.typing as npt
 
 from factors.kernel import kernel
 from factors.moments import chain, transport, triangular_factor
+from factors.rigid import pose_at
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -60,7 +61,13 @@ def _alignment_moments(
 
 
 def corner_moments(view_start: npt.NDArray[np.int64], corners_m: FloatArray) -> FloatArray:
-    """Sum of p p^T over the homogeneous corners of each view, (V, 4, 4). Every view needs a corner."""
+    """Sum of p p^T over the homogeneous corners of each view, (V, 4, 4).
+
+    view_start: (V + 1,) first row of each view, and the number of rows. corners_m: (N, 3) in the board frame.
+
+    Raises ValueError for a view without corners: there is no PnP pose to align it with."""
+    if (np.diff(view_start) <= 0).any() or view_start[0] != 0 or view_start[-1] != len(corners_m):
+        raise ValueError(f"view_start must rise from 0 to N={len(corners_m)}: every view needs a corner")
     homogeneous = np.concatenate([corners_m, np.ones((len(corners_m), 1))], axis=1)
     outer = homogeneous[:, :, None] * homogeneous[:, None, :]
     return np.add.reduceat(outer, view_start[:-1], axis=0)
@@ -85,8 +92,8 @@ class _AlignmentResidual:
     sigma_m: float
 
     def __call__(self, factor: gtsam.CustomFactor, values: gtsam.Values, jacobians: object) -> FloatArray:
-        camera_T_ref = values.atPose3(self.camera_T_ref_key).matrix()
-        body_T_board = values.atPose3(self.body_T_board_key).matrix()
+        camera_T_ref = pose_at(values, self.camera_T_ref_key)
+        body_T_board = pose_at(values, self.body_T_board_key)
         camera_T_board = chain(camera_T_ref, self.ref_T_body, body_T_board)
         if jacobians is None:
             squared = squared_distances(camera_T_board, self.measured_camera_T_board, self.corner_moments)
@@ -106,7 +113,7 @@ class PointAlignmentFactor(gtsam.CustomFactor):
     corner_moments: (V, 4, 4) as ``corner_moments`` makes them.
     sigma_m: standard deviation of one coordinate of a corner placed by PnP.
 
-    Raises ValueError where the shapes differ."""
+    Raises ValueError where the shapes differ or sigma_m is not positive."""
 
     def __init__(
         self,
@@ -123,6 +130,8 @@ class PointAlignmentFactor(gtsam.CustomFactor):
                 f"{ref_T_body.shape=}, {measured_camera_T_board.shape=}, {corner_moments.shape=}, "
                 "expected one shape (V, 4, 4)"
             )
+        if not sigma_m > 0.0:
+            raise ValueError(f"{sigma_m=}, expected a positive standard deviation")
         residual = _AlignmentResidual(
             camera_T_ref_key, body_T_board_key, ref_T_body, measured_camera_T_board, corner_moments, sigma_m
         )

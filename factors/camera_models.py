@@ -422,7 +422,7 @@ class CameraModel:
         where the point has no pixel. Scale does not matter: bearings will do for points.
 
         Raises ValueError for arrays of another shape."""
-        points, parameters = _rows(points_in_camera, 3, "points_in_camera"), self._theta(theta)
+        points, parameters = _rows(points_in_camera, 3, "points_in_camera"), self.as_theta(theta)
         pixels, valid = np.empty((len(points), 2)), np.empty(len(points), dtype=np.bool_)
         scratch_point, scratch_theta = np.empty((1, 2, 3)), np.empty((1, 2, self.n_parameters))
         _project_points(self.model_id, parameters, points, pixels, valid, scratch_point, scratch_theta, False)
@@ -434,7 +434,7 @@ class CameraModel:
         """``project``, and d pixel / d point (N, 2, 3) and d pixel / d theta (N, 2, K), NaN where masked.
 
         Raises ValueError for arrays of another shape."""
-        points, parameters = _rows(points_in_camera, 3, "points_in_camera"), self._theta(theta)
+        points, parameters = _rows(points_in_camera, 3, "points_in_camera"), self.as_theta(theta)
         pixels, valid = np.empty((len(points), 2)), np.empty(len(points), dtype=np.bool_)
         J_point = np.full((len(points), 2, 3), np.nan)
         J_theta = np.full((len(points), 2, self.n_parameters), np.nan)
@@ -446,17 +446,20 @@ class CameraModel:
         bearing NaN, where no point of the valid field has that pixel.
 
         Raises ValueError for arrays of another shape."""
-        pixels, parameters = _rows(pixels_px, 2, "pixels_px"), self._theta(theta)
+        pixels, parameters = _rows(pixels_px, 2, "pixels_px"), self.as_theta(theta)
         bearings, valid = np.empty((len(pixels), 3)), np.empty(len(pixels), dtype=np.bool_)
         _unproject_pixels(self.model_id, parameters, pixels, bearings, valid)
         return bearings, valid
 
     def max_angle_rad(self, theta: npt.ArrayLike) -> float:
         """Half angle of the valid field: no point further off the axis has a pixel."""
-        limit = field_limit(self.model_id, self._theta(theta))
+        limit = field_limit(self.model_id, self.as_theta(theta))
         return math.atan(limit) if self.model_id == _PINHOLE else limit
 
-    def _theta(self, theta: npt.ArrayLike) -> FloatArray:
+    def as_theta(self, theta: npt.ArrayLike) -> FloatArray:
+        """theta as a float64 array (K,). The compiled kernels trust its length.
+
+        Raises ValueError for another shape."""
         parameters = np.ascontiguousarray(theta, dtype=np.float64)
         if parameters.shape != (self.n_parameters,):
             raise ValueError(
@@ -472,9 +475,7 @@ _RADIAL_6_TANGENTIAL_2 = ("k0", "k1", "k2", "k3", "k4", "k5", "p0", "p1")
 PINHOLE_RADTAN = CameraModel("pinhole_radtan", _PINHOLE, (*_FOCAL_AND_CENTRE, "k1", "k2", "p1", "p2", "k3"))
 KANNALA_BRANDT4 = CameraModel("kannala_brandt4", _KB4, (*_FOCAL_AND_CENTRE, "k1", "k2", "k3", "k4"))
 FISHEYE62 = CameraModel("fisheye62", _F62, (*_FOCAL_AND_CENTRE, *_RADIAL_6_TANGENTIAL_2))
-FISHEYE624 = CameraModel(
-    "fisheye624", _F624, (*_FOCAL_AND_CENTRE, *_RADIAL_6_TANGENTIAL_2, "s0", "s1", "s2", "s3")
-)
+FISHEYE624 = CameraModel("fisheye624", _F624, (*_FOCAL_AND_CENTRE, *_RADIAL_6_TANGENTIAL_2, "s0", "s1", "s2", "s3"))
 
 CAMERA_MODELS: Mapping[str, CameraModel] = MappingProxyType(
     {model.name: model for model in (FISHEYE62, KANNALA_BRANDT4, PINHOLE_RADTAN, FISHEYE624)}

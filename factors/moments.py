@@ -33,7 +33,7 @@ def _chain(
 
 def chain(camera_T_ref: FloatArray, ref_T_body: FloatArray, body_T_board: FloatArray) -> FloatArray:
     """camera_T_board (V, 4, 4) of views with ref_T_body (V, 4, 4)."""
-    camera_T_board = np.empty_like(ref_T_body)
+    camera_T_board = np.empty(ref_T_body.shape)
     _chain(camera_T_ref, ref_T_body, body_T_board, camera_T_board)
     return camera_T_board
 
@@ -121,7 +121,7 @@ def transport(
     camera_T_ref, ref_T_body where ``free_body`` (one view only), body_T_board, then what the moments have beyond
     their first six columns (theta, the residual).
 
-    ref_T_body: (V, 4, 4). Returns the upper triangle of the total, (D + 6, D + 6), or (D + 12, D + 12)."""
+    ref_T_body: (V, 4, 4). Returns the total, (D + 6, D + 6) or (D + 12, D + 12); only its upper triangle counts."""
     n = moments.shape[1] + (12 if free_body else 6)
     total = np.zeros((n, n))
     _transport(moments, ref_T_body, body_T_board, free_body, total)

@@ -20,14 +20,15 @@ def weak_intrinsics_prior(
 ) -> gtsam.NonlinearFactor:
     """The paper's prior: principal point to the image centre, distortion to zero, focal length free.
 
-    The paper names no sigmas; the defaults are wide enough not to move what the data determine."""
+    The paper names no sigmas; the defaults are wide enough not to move what the data determine.
+
+    Raises ValueError for a sigma that is not positive."""
     mean = np.zeros(model.n_parameters)
     mean[2:4] = (image_width_px - 1) / 2, (image_height_px - 1) / 2
     sigmas = np.full(model.n_parameters, sigma_distortion)
     sigmas[2:4] = sigma_centre_px
-    precisions = 1.0 / sigmas**2
-    precisions[:2] = 0.0
-    return gtsam.PriorFactorVector(theta_key, mean, gtsam.noiseModel.Diagonal.Precisions(precisions))
+    sigmas[:2] = np.inf
+    return factory_intrinsics_prior(theta_key, mean, sigmas)
 
 
 def factory_intrinsics_prior(

@@ -31,7 +31,7 @@ import numpy.typing as npt
 from factors.camera_models import CameraModel, field_limit, project_point
 from factors.kernel import inlined, kernel
 from factors.moments import chain, transport, triangular_factor
-from factors.rigid import adjoint_of_inverse, compose
+from factors.rigid import adjoint_of_inverse, compose, pose_at
 from factors.robust import GAUSSIAN, RobustKernel, robust_loss_and_weight
 
 FloatArray = npt.NDArray[np.float64]
@@ -44,7 +44,7 @@ _CORNERS_PER_TASK = 8192  # below this a thread costs more than it saves
 class CornerViews:
     """The corners a camera saw. View v holds rows ``view_start[v]:view_start[v + 1]`` of the corner columns.
 
-    view_start: (V + 1,) first row of each view, and the number of rows.
+    view_start: (V + 1,) first row of each view, and the number of rows. A view may be empty: it says nothing.
     corners_m: (N, 3) corners in the board frame.
     corners_px: (N, 2) their measured pixels.
     sigma_px: standard deviation of a measured coordinate.
@@ -57,13 +57,17 @@ class CornerViews:
     sigma_px: float = 1.0
 
     def __post_init__(self) -> None:
+        for name, dtype in (("view_start", np.int64), ("corners_m", np.float64), ("corners_px", np.float64)):
+            # of one layout, for numba compiles the kernels anew for every other
+            object.__setattr__(self, name, np.ascontiguousarray(getattr(self, name), dtype=dtype))
         n = len(self.corners_m)
         if self.corners_m.shape != (n, 3) or self.corners_px.shape != (n, 2):
             raise ValueError(
                 f"{self.corners_m.shape=}, {self.corners_px.shape=}, expected (N, 3) and (N, 2) with one N"
             )
-        if len(self.view_start) < 2 or self.view_start[0] != 0 or self.view_start[-1] != n:
-            raise ValueError(f"view_start must run from 0 to N={n} over at least one view")
+        start = self.view_start
+        if len(start) < 2 or start[0] != 0 or start[-1] != n or (np.diff(start) < 0).any():
+            raise ValueError(f"view_start must run from 0 to N={n} over at least one view, and never back")
         if not self.sigma_px > 0.0:
             raise ValueError(f"{self.sigma_px=}, expected a positive standard deviation")
 
@@ -233,6 +237,12 @@ def _run_on_all_cores(run: Callable[[tuple[int, int]], None], view_start: IntArr
         list(_threads().map(run, tasks))
 
 
+def _poses_of(views: CornerViews, camera_T_board: FloatArray) -> FloatArray:
+    if camera_T_board.shape != (views.n_views, 4, 4):
+        raise ValueError(f"{camera_T_board.shape=}, expected ({views.n_views}, 4, 4)")
+    return np.ascontiguousarray(camera_T_board)
+
+
 def view_moments(
     views: CornerViews,
     camera_T_board: FloatArray,
@@ -246,7 +256,11 @@ def view_moments(
     """Sum the corners of every view at camera_T_board (V, 4, 4), on all cores.
 
     The result does not depend on the number of cores. Without ``with_moments`` only losses and counts are there
-    (moments has the shape (0, D, D))."""
+    (moments has the shape (0, D, D)).
+
+    Raises ValueError where the shapes do not fit."""
+    theta = model.as_theta(theta)
+    camera_T_board = _poses_of(views, camera_T_board)
     columns = 7 + model.n_parameters * with_theta
     n_views = views.n_views
     moments = np.empty((n_views if with_moments else 0, columns, columns))
@@ -275,11 +289,13 @@ def view_moments(
     return ViewMoments(moments, loss, n_invalid)
 
 
-def residuals_px(
-    views: CornerViews, camera_T_board: FloatArray, model: CameraModel, theta: FloatArray
-) -> FloatArray:
+def residuals_px(views: CornerViews, camera_T_board: FloatArray, model: CameraModel, theta: FloatArray) -> FloatArray:
     """Projection less measurement (N, 2) of every corner at camera_T_board (V, 4, 4); NaN where a corner has no
-    pixel."""
+    pixel.
+
+    Raises ValueError where the shapes do not fit."""
+    theta = model.as_theta(theta)
+    camera_T_board = _poses_of(views, camera_T_board)
     out = np.empty_like(views.corners_px)
 
     def run(task: tuple[int, int]) -> None:
@@ -321,11 +337,15 @@ class _Variables:
         """camera_T_ref (4, 4), ref_T_body (V, 4, 4), body_T_board (4, 4), theta (K,)."""
         body, theta = self.ref_T_body, self.theta
         return (
-            values.atPose3(self.camera_T_ref_key).matrix(),
-            values.atPose3(body).matrix()[None] if isinstance(body, int) else body,
-            values.atPose3(self.body_T_board_key).matrix(),
+            pose_at(values, self.camera_T_ref_key),
+            pose_at(values, body)[None] if isinstance(body, int) else body,
+            pose_at(values, self.body_T_board_key),
             values.atVector(theta) if isinstance(theta, int) else theta,
         )
+
+
+def _checked(model: CameraModel, theta: int | FloatArray) -> int | FloatArray:
+    return theta if isinstance(theta, int) else model.as_theta(theta)
 
 
 def _split_columns(jacobians: Jacobians, columns: FloatArray) -> None:
@@ -416,7 +436,7 @@ class FusedReprojectionFactor(gtsam.CustomFactor):
                 raise ValueError(f"{views.n_views=}: a free ref_T_body needs a factor of one view")
         elif ref_T_body.shape != (views.n_views, 4, 4):
             raise ValueError(f"{ref_T_body.shape=}, expected ({views.n_views}, 4, 4)")
-        variables = _Variables(camera_T_ref_key, body_T_board_key, ref_T_body, theta)
+        variables = _Variables(camera_T_ref_key, body_T_board_key, ref_T_body, _checked(model, theta))
         # no noise model: the rows come whitened, and a value-only call returns fewer of them
         super().__init__(None, variables.keys, _FusedResidual(views, variables, model, robust))  # type: ignore[call-overload]
 
@@ -434,7 +454,7 @@ class _CornerResidual:
         camera_T_ref, ref_T_body, body_T_board, theta = self.variables.at(values)
         rows = corner_rows(
             self.model.model_id,
-            theta,
+            self.model.as_theta(theta),
             camera_T_ref,
             ref_T_body[0],
             body_T_board,
@@ -501,7 +521,9 @@ class CornerReprojectionFactor(gtsam.CustomFactor):
     """One corner as a factor of two rows, in px; variables and their order as in ``FusedReprojectionFactor``.
 
     noise_model: any of GTSAM's, of dimension 2; ``RobustKernel.noise_model`` makes the one that the fused factor
-    uses inside."""
+    uses inside.
+
+    Raises ValueError where the shapes do not fit."""
 
     def __init__(
         self,
@@ -516,5 +538,5 @@ class CornerReprojectionFactor(gtsam.CustomFactor):
         noise_model: gtsam.noiseModel.Base,
     ) -> None:
         constant = ref_T_body if isinstance(ref_T_body, int) else np.asarray(ref_T_body).reshape(1, 4, 4)
-        variables = _Variables(camera_T_ref_key, body_T_board_key, constant, theta)
+        variables = _Variables(camera_T_ref_key, body_T_board_key, constant, _checked(model, theta))
         super().__init__(noise_model, variables.keys, _CornerResidual(corner_m, corner_px, variables, model))

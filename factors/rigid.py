@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gtsam
 import numpy as np
 import numpy.typing as npt
 
@@ -32,6 +33,11 @@ def adjoint_of_inverse(a_T_b: FloatArray, adjoint: FloatArray) -> None:
         adjoint[i + 3, 0] = ty * z - tz * y
         adjoint[i + 3, 1] = tz * x - tx * z
         adjoint[i + 3, 2] = tx * y - ty * x
+
+
+def pose_at(values: gtsam.Values, key: int) -> FloatArray:
+    """The Pose3 at ``key`` as a matrix (4, 4), row-major: GTSAM's own order would have every kernel compiled twice."""
+    return np.ascontiguousarray(values.atPose3(key).matrix())
 
 
 def inverse(a_T_b: FloatArray) -> FloatArray:
