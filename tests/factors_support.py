@@ -126,9 +126,7 @@ class Scene:
     def fused(
         self, views: CornerViews, body: int | np.ndarray, theta: int | np.ndarray, robust: RobustKernel = GAUSSIAN
     ) -> FusedReprojectionFactor:
-        return FusedReprojectionFactor(
-            Y, X, views=views, model=self.model, ref_T_body=body, theta=theta, robust=robust
-        )
+        return FusedReprojectionFactor(Y, X, views=views, model=self.model, ref_T_body=body, theta=theta, robust=robust)
 
     def corner(
         self, n: int, body: int | np.ndarray, theta: int | np.ndarray, noise_model: gtsam.noiseModel.Base
@@ -167,11 +165,11 @@ def scene(
     views = CornerViews(len(grid) * np.arange(n_views + 1), corners_m, pixels, sigma_px=0.4)
 
     values = gtsam.Values()
-    values.insert(Y, gtsam.Pose3(camera_T_ref @ poses(random, 1, 0.003, 0.002)[0]))
-    values.insert(X, gtsam.Pose3(body_T_board @ poses(random, 1, 0.003, 0.002)[0]))
-    values.insert(THETA, theta * (1 + 0.002 * random.normal(size=len(theta))))
+    values.insert(Y, gtsam.Pose3(camera_T_ref @ poses(random, 1, 0.0007, 0.0005)[0]))
+    values.insert(X, gtsam.Pose3(body_T_board @ poses(random, 1, 0.0007, 0.0005)[0]))
+    values.insert(THETA, theta * (1 + 0.0003 * random.normal(size=len(theta))))
     for v in range(n_views):
-        values.insert(A(v), gtsam.Pose3(ref_T_body[v] @ poses(random, 1, 0.001, 0.0005)[0]))
+        values.insert(A(v), gtsam.Pose3(ref_T_body[v] @ poses(random, 1, 0.0003, 0.0002)[0]))
     return Scene(model, theta, views, ref_T_body, values)
 
 
