@@ -1,8 +1,8 @@
 """Stages 1 and 2: from PnP poses to a chain that fits them in 3-D.
 
-Views whose PnP pose and mocap pose contradict the others (a swap, a flipped board pose, a wrong tag) must not decide the
-result, so stage 1 runs three times: on all views, then on those that the last result explains, each with the one of its
-two PnP poses that fits better.
+Views whose PnP pose and mocap pose contradict the others (a swap, a flipped board pose, a wrong tag) must not decide
+the result, so stage 1 runs three times: on all views, then on those that the last result explains, each with the one
+of its two PnP poses that fits better.
 """
 
 from __future__ import annotations
@@ -45,9 +45,7 @@ class GuideViews:
     def rms_m(self, camera_T_ref: FloatArray, body_T_board: FloatArray) -> FloatArray:
         """Rms distance (W, 2) between the corners placed by the chain and by each of the two PnP poses."""
         expected = chain(camera_T_ref, self.views.ref_T_body, body_T_board)
-        squared = [
-            squared_distances(expected, self.pnp_camera_T_board[:, i], self.corner_moments) for i in range(2)
-        ]
+        squared = [squared_distances(expected, self.pnp_camera_T_board[:, i], self.corner_moments) for i in range(2)]
         mean = np.stack(squared, axis=1) / self.corner_moments[:, 3, 3, None]
         return np.sqrt(np.maximum(mean, 0.0))
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 import gtsam
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from factors.rigid import inverse
 from gtcal.camera import Camera, FloatArray
@@ -42,7 +43,7 @@ class PoseEstimate:
 
     @property
     def position_of_a_in_b_covariance_m2(self) -> FloatArray | None:
-        """(3, 3) of ``position_of_a_in_b_m``: b_T_a = Exp(-xi) b_T_a moves the origin p by p x rotation - translation."""
+        """(3, 3) of ``position_of_a_in_b_m``: Exp(-xi) b_T_a moves the origin p by p x rotation - translation."""
         if self.covariance is None:
             return None
         x, y, z = self.position_of_a_in_b_m
@@ -62,6 +63,13 @@ class PoseEstimate:
             return None
         R = self.a_T_b[:3, :3]
         return 1e3 * np.sqrt(np.diag(R @ self.covariance[3:, 3:] @ R.T))
+
+
+def pose_difference(found_a_T_b: FloatArray, true_a_T_b: FloatArray) -> tuple[float, float]:
+    """Distance in mm between the origins of b in a, and angle in deg between the attitudes, of two transforms."""
+    position_mm = 1e3 * float(np.linalg.norm(found_a_T_b[:3, 3] - true_a_T_b[:3, 3]))
+    turn = Rotation.from_matrix(found_a_T_b[:3, :3].T @ true_a_T_b[:3, :3])
+    return position_mm, float(np.rad2deg(turn.magnitude()))
 
 
 @dataclass(frozen=True)

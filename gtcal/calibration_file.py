@@ -33,8 +33,8 @@ from gtcal.trajectory import quaternions_from_poses
 SCHEMA_VERSION = 1
 
 CONVENTIONS = (
-    "a_T_b takes coordinates in frame b to coordinates in frame a, in m. A covariance is that of xi in a_T_b * Exp(xi), "
-    "the tangent of GTSAM's Pose3: rotation first (rad), then translation (m), both along the axes of b. "
+    "a_T_b takes coordinates in frame b to coordinates in frame a, in m. A covariance is that of xi in "
+    "a_T_b * Exp(xi), the tangent of GTSAM's Pose3: rotation first (rad), then translation (m), both along the axes of b. "
     "Camera frame: x right, y down, z forward. Pixels: integer coordinates are pixel centres. "
     "rmse_px is pooled per corner, the root of the mean squared norm."
 )
@@ -186,7 +186,8 @@ def _array(rows: Any, shape: tuple[int, ...]) -> FloatArray | None:
 
 
 def _stage(block: Mapping[str, Any]) -> StageReport:
-    return StageReport(**{key: float("nan") if value is None else value for key, value in block.items()})
+    given: dict[str, Any] = {key: float("nan") if value is None else value for key, value in block.items()}
+    return StageReport(**given)
 
 
 def _provenance(block: Mapping[str, Any]) -> Provenance:

@@ -66,8 +66,8 @@ def check_turning(found: Turning) -> str | None:
         )
     if found.rms_rad[1] < WEAK_TURN_RAD:
         return (
-            f"the motion turns mostly about one axis, {axis} of the body frame ({first:.1f} deg rms, {second:.1f} about "
-            "the next): the translation along it is weakly determined; turn about a second axis by 20 deg or more"
+            f"the motion turns mostly about one axis, {axis} of the body frame ({first:.1f} deg rms, {second:.1f} "
+            "about the next): the translation along it is weakly determined; turn about a second axis by 20 deg or more"
         )
     return None
 

@@ -9,8 +9,8 @@ from factors import GAUSSIAN, RobustKernel
 from gtcal.errors import GtcalError
 
 IntrinsicsMode = Literal["fixed", "calibrate", "refine", "calibrate+refine"]
-"""fixed: as the recording states them. calibrate: found first, by a plain calibration from the views. refine: solved for
-in stage 3, jointly with the extrinsics."""
+"""fixed: as the recording states them. calibrate: found first, by a plain calibration from the views. refine: solved
+for in stage 3, jointly with the extrinsics."""
 
 
 @dataclass(frozen=True)

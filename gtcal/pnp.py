@@ -162,8 +162,7 @@ def _damped_step(moments: FloatArray, damping: FloatArray) -> FloatArray:
     diagonal = np.einsum("vii->vi", hessian)
     diagonal *= 1.0 + damping[:, None]
     diagonal += 1e-9
-    step: FloatArray = -np.linalg.solve(hessian, gradient[:, :, None])[:, :, 0]
-    return step
+    return -np.asarray(np.linalg.solve(hessian, gradient[:, :, None])[:, :, 0], dtype=np.float64)
 
 
 def _exp(steps: FloatArray) -> FloatArray:

@@ -57,8 +57,9 @@ def calibrate_observations(
     *,
     progress: Progress = silent,
     inputs: tuple[InputFile, ...] = (),
+    earlier: tuple[StageReport, ...] = (),
 ) -> Calibration:
-    """Calibrate from synchronised views.
+    """Calibrate from synchronised views. ``inputs`` and reports of ``earlier`` work are kept with the result.
 
     Raises GtcalError where there are fewer views than unknowns or the motion is degenerate, and DisagreementError
     where no chain fits."""
@@ -78,7 +79,7 @@ def calibrate_observations(
         board=observations.board.to_manifest(),
         sigma_px=adjusted.sigma_px,
         covariance_kind=NAIVE,
-        stages=(*reports, *report),
+        stages=(*earlier, *reports, *report),
         dropped=observations.dropped + adjusted.screened.dropped(views),
         warnings=(*warnings, *_screening_warnings(adjusted)),
         provenance=provenance(options, inputs, time.perf_counter() - started),
@@ -178,9 +179,7 @@ def _guides(views: Mapping[str, Views], options: CalibrationOptions, progress: P
     return guides
 
 
-def _report(
-    stage: int, name: str, started_s: float, errors: tuple[float, ...] = (), unit: str = ""
-) -> StageReport:
+def _report(stage: int, name: str, started_s: float, errors: tuple[float, ...] = (), unit: str = "") -> StageReport:
     before, after = (errors[0], errors[-1]) if errors else (float("nan"), float("nan"))
     seconds = time.perf_counter() - started_s
     return StageReport(stage, name, max(len(errors) - 1, 0), before, after, unit, float("nan"), seconds)

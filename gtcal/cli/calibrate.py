@@ -1,0 +1,132 @@
+"""gtcal calibrate: the main job."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import tyro
+
+if TYPE_CHECKING:
+    from factors import RobustKernel
+
+KernelName = Literal[
+    "Null",
+    "Fair",
+    "Huber",
+    "Cauchy",
+    "Tukey",
+    "Welsch",
+    "GemanMcClure",
+    "DCS",
+    "L2WithDeadZone",
+    "TruncatedLeastSquares",
+    "AsymmetricCauchy",
+    "AsymmetricTukey",
+]
+
+
+def calibrate(
+    recording: tyro.conf.Positional[Path],
+    *,
+    output: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("calibration.json"),
+    calibrate_intrinsics: bool = False,
+    refine_intrinsics: bool = False,
+    intrinsics_prior: Literal["weak", "stated"] = "weak",
+    focal_sigma_px: float = 5.0,
+    centre_sigma_px: float = 5.0,
+    distortion_sigma: float = 0.01,
+    kernel: KernelName = "Null",
+    kernel_parameter: float | None = None,
+    sigma_px: float | None = None,
+    stages: tuple[int, ...] = (1, 2, 3),
+    eps: float = 1e-4,
+    max_iterations: int = 100,
+    screen: bool = True,
+    pnp_views: int = 300,
+    seed: int = 0,
+    allow_degenerate: bool = False,
+    verbose: Annotated[bool, tyro.conf.arg(aliases=["-v"])] = False,
+    quiet: Annotated[bool, tyro.conf.arg(aliases=["-q"])] = False,
+) -> None:
+    """Find every camera's extrinsic camera_T_ref and the board-to-body transform from a recording.
+
+    Writes calibration.json (poses, covariances, residuals, how it was made) and prints a table to judge it by. Cameras
+    that come as images are detected first; that is kept and reused.
+
+    Good data: 60 or more views per camera, the board turned about two axes or more by 30 deg and more, over the whole
+    image, near and far. Judge by the RMSE (a good lens model and mocap give 0.1 to 0.5 px) and by 'left out'.
+
+    Args:
+        recording: Folder with the manifest (recording.yaml or recording.json), or the manifest itself.
+        output: File to write.
+        calibrate_intrinsics: Find the intrinsics first, by a plain calibration from the views; those stated in the
+            manifest are not used. For recordings without intrinsics.
+        refine_intrinsics: Solve for the intrinsics too, jointly with the extrinsics in stage 3.
+        intrinsics_prior: For --refine-intrinsics. 'weak': the paper's prior (principal point to the image centre,
+            distortion to zero, focal length free). 'stated': stay near the manifest's values, by the next three sigmas.
+        focal_sigma_px: 1-sigma of fx and fy for the prior 'stated'.
+        centre_sigma_px: 1-sigma of cx and cy for the prior 'stated'.
+        distortion_sigma: 1-sigma of every distortion coefficient for the prior 'stated'.
+        kernel: Robust kernel of stage 3, by its name in gtsam.noiseModel.mEstimator, on each corner's whitened norm.
+        kernel_parameter: Its parameter in sigmas; by default the kernel's usual one.
+        sigma_px: Standard deviation of a corner's coordinate; by default estimated from the residuals.
+        stages: Stages to run, of 1 (Procrustes sweep), 2 (3-D alignment), 3 (pixels).
+        eps: A minimisation stops where an iteration improves the error E by less than eps (1 + E).
+        max_iterations: Most iterations of one minimisation.
+        screen: Leave out views and corners that grossly contradict the others.
+        pnp_views: At most this many views per camera guide stages 1 and 2; stage 3 takes all.
+        seed: Of the random starting rotations of stage 1.
+        allow_degenerate: Solve even where the motion cannot determine the result.
+        verbose: Print the stages, and what was left out and why.
+        quiet: Show no progress and print nothing.
+    """
+    from gtcal.calibration_file import write_calibration
+    from gtcal.cli.progress import shown_progress
+    from gtcal.cli.tables import print_calibration
+    from gtcal.options import CalibrationOptions, IntrinsicsMode
+    from gtcal.recording import load_recording
+    from gtcal.workflow import calibrate as run
+
+    modes: dict[tuple[bool, bool], IntrinsicsMode] = {
+        (False, False): "fixed",
+        (True, False): "calibrate",
+        (False, True): "refine",
+        (True, True): "calibrate+refine",
+    }
+    options = CalibrationOptions(
+        intrinsics=modes[calibrate_intrinsics, refine_intrinsics],
+        intrinsics_prior=intrinsics_prior,
+        focal_sigma_px=focal_sigma_px,
+        centre_sigma_px=centre_sigma_px,
+        distortion_sigma=distortion_sigma,
+        robust=_kernel(kernel, kernel_parameter),
+        sigma_px=sigma_px,
+        stages=stages,
+        eps=eps,
+        max_iterations=max_iterations,
+        screen=screen,
+        pnp_views=pnp_views,
+        seed=seed,
+        allow_degenerate=allow_degenerate,
+    )
+    loaded = load_recording(recording)
+    with shown_progress(quiet) as progress:
+        calibration = run(loaded, options, progress=progress)
+    write_calibration(output, calibration)
+    if not quiet:
+        notes = [note for images in loaded.images.values() for note in images.notes]
+        print_calibration(calibration, notes=notes, verbose=verbose)
+        print(f"written: {output}")
+
+
+def _kernel(name: str, parameter: float | None) -> RobustKernel:
+    from factors import RobustKernel
+    from gtcal.errors import GtcalError
+
+    if parameter is None:
+        return RobustKernel.named(name)
+    try:
+        return RobustKernel(name, parameter)
+    except ValueError as error:
+        raise GtcalError(str(error)) from error

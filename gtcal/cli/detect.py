@@ -1,0 +1,44 @@
+"""gtcal detect: the board's corners in a recording's images."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+
+def detect(
+    recording: tyro.conf.Positional[Path],
+    *,
+    output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None,
+    redo: bool = False,
+    quiet: Annotated[bool, tyro.conf.arg(aliases=["-q"])] = False,
+) -> None:
+    """Find the board in a recording's images, and keep the corners beside the recording.
+
+    'gtcal calibrate' does this by itself; use 'detect' to look at the yield first, or to get the corners as CSV.
+    What was found is reused until the images, the board or the intrinsics change.
+
+    Args:
+        recording: Folder with the manifest (recording.yaml or recording.json), or the manifest itself.
+        output: Folder for one CSV per camera: timestamp_ns,corner_id,x_px,y_px.
+        redo: Detect again, also where the manifest gives detections next to images.
+        quiet: Show no progress and print nothing.
+    """
+    from rich.console import Console
+
+    from gtcal.cli.progress import shown_progress
+    from gtcal.cli.tables import detection_table
+    from gtcal.detection_files import write_detections
+    from gtcal.recording import load_recording
+    from gtcal.workflow import detected
+
+    loaded = load_recording(recording)
+    with shown_progress(quiet) as progress:
+        found = detected(loaded, progress=progress, redo=redo)
+    if output is not None:
+        for name, detections in found.detections.items():
+            write_detections(output / f"{name}.csv", detections)
+    if not quiet:
+        Console().print(detection_table(found))

@@ -1,0 +1,26 @@
+"""gtcal schema: the manifest's JSON schema."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+
+def schema(*, output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None) -> None:
+    """Print the JSON schema of a recording's manifest, for editors that complete and check as you type.
+
+    Args:
+        output: File to write in place of printing.
+    """
+    import json
+
+    from gtcal.files import write_text
+    from gtcal.manifest import manifest_schema
+
+    text = json.dumps(manifest_schema(), indent=2)
+    if output is None:
+        print(text)
+    else:
+        write_text(output, text + "\n")

@@ -1,0 +1,89 @@
+"""The whole way from a recording to a calibration: detection, intrinsics where they are asked for, synchronisation, the
+three stages; and a guess at what is wrong where nothing fits."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+
+from gtcal.calibration import Calibration, StageReport
+from gtcal.detection import cached_detect
+from gtcal.errors import GtcalError
+from gtcal.files import fingerprint
+from gtcal.intrinsics import calibrate_intrinsics
+from gtcal.observations import Observations, synchronise
+from gtcal.options import CalibrationOptions
+from gtcal.progress import Progress, silent
+from gtcal.recording import Recording
+from gtcal.solver import DisagreementError, calibrate_observations
+from gtcal.suspects import likely_mistake
+
+
+def calibrate(
+    recording: Recording, options: CalibrationOptions | None = None, *, progress: Progress = silent
+) -> Calibration:
+    """Calibrate a recording; cameras that have only images are detected first.
+
+    Raises GtcalError with one line on what is wrong: intrinsics missing, too few views, a degenerate motion, no time
+    in common, or files that contradict each other (DisagreementError, with the likely mistake if one is found)."""
+    options = options or CalibrationOptions()
+    recording = detected(recording, progress=progress)
+    observations = synchronise(recording)
+    observations, reports = _with_intrinsics(observations, options, progress)
+    try:
+        return calibrate_observations(
+            observations, options, progress=progress, inputs=recording.inputs, earlier=reports
+        )
+    except DisagreementError as error:
+        hint = likely_mistake(observations, seed=options.seed, max_views=options.pnp_views)
+        raise DisagreementError(error.angle_deg, hint) from error
+
+
+def detected(recording: Recording, *, progress: Progress = silent, redo: bool = False) -> Recording:
+    """The recording with detections for every camera: as the recording gives them, else from the images, which are
+    kept beside the recording for the next time. ``redo`` detects in the images wherever there are some."""
+    missing = [name for name in recording.images if redo or name not in recording.detections]
+    if not missing:
+        return recording
+    folder = recording.path.parent if recording.path is not None else None
+    if folder is None:
+        raise GtcalError("a recording that is not on disk needs its detections given")
+    found = {
+        name: cached_detect(
+            folder, name, recording.images[name], recording.board, recording.cameras[name], progress=progress, redo=redo
+        )
+        for name in missing
+    }
+    used = tuple(
+        fingerprint(image_folder)
+        for image_folder in sorted({path.parent for name in missing for path in recording.images[name].paths})
+    )
+    return replace(recording, detections=recording.detections | found, inputs=recording.inputs + used)
+
+
+def _with_intrinsics(
+    observations: Observations, options: CalibrationOptions, progress: Progress
+) -> tuple[Observations, tuple[StageReport, ...]]:
+    if not options.calibrate_intrinsics:
+        return observations, ()
+    views, reports = dict(observations.views), []
+    for done, (name, of_camera) in enumerate(observations.views.items()):
+        progress("intrinsics", done, len(views))
+        started = time.perf_counter()
+        found = calibrate_intrinsics(of_camera)
+        views[name] = replace(of_camera, camera=found.camera)
+        seconds = time.perf_counter() - started
+        reports.append(
+            StageReport(
+                0,
+                f"intrinsics of {name}",
+                0,
+                float("nan"),
+                found.rmse_px,
+                "px rmse, views apart",
+                float("nan"),
+                seconds,
+            )
+        )
+    progress("intrinsics", len(views), len(views))
+    return replace(observations, views=views), tuple(reports)
