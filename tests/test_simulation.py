@@ -166,7 +166,7 @@ def test_fixed_cameras_all_get_views() -> None:
 @pytest.mark.parametrize(("motion", "rank"), [("free", 3), ("single_axis", 1), ("translation", 0)])
 @pytest.mark.parametrize("capture", list(Capture))
 def test_the_rank_of_the_rotations_is_that_of_the_motion(capture: Capture, motion: str, rank: int) -> None:
-    simulation = simulate(options(capture=capture, motion=motion), seed=2)
+    simulation = simulate(options(duration_s=60.0, capture=capture, motion=motion), seed=2)
     for detections in simulation.recording.detections.values():
         assert detections.n_views >= 8
     ref_R_body = simulation.truth.cameras["front_left"].ref_T_body[:, :3, :3]

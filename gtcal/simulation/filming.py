@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-import os
-from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -14,6 +10,7 @@ import cv2
 import numpy as np
 
 from factors.rigid import inverse
+from gtcal.cores import all_cores
 from gtcal.files import write_aside
 from gtcal.images import GreyImage, ImageSequence
 from gtcal.progress import Progress
@@ -60,7 +57,7 @@ def film(simulation: Simulation, folder: Path, progress: Progress) -> dict[str, 
     studio = Studio(simulation)
     done, total = 0, len(simulation.options.rig.cameras) * len(simulation.frame_times_s)
     sequences = {}
-    with _one_opencv_thread(), _all_cores() as pool:
+    with all_cores() as pool:
         for index, camera in enumerate(simulation.options.rig.cameras):
             stamps_ns = simulation.truth.cameras[camera.name].stamps_ns
             paths = tuple(folder / camera.name / f"{stamp}.png" for stamp in stamps_ns.tolist())
@@ -85,25 +82,3 @@ class _Shoot:
         _, encoded = cv2.imencode(".png", image)
         with write_aside(self.paths[frame], binary=True) as file:
             file.write(encoded.tobytes())
-
-
-@contextmanager
-def _all_cores() -> Iterator[ThreadPoolExecutor]:
-    """A pool that drops what is still queued where something fails or the user interrupts."""
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
-        try:
-            yield pool
-        except BaseException:
-            pool.shutdown(cancel_futures=True)
-            raise
-
-
-@contextmanager
-def _one_opencv_thread() -> Iterator[None]:
-    """The images already take all cores."""
-    before = cv2.getNumThreads()
-    cv2.setNumThreads(1)
-    try:
-        yield
-    finally:
-        cv2.setNumThreads(before)

@@ -20,6 +20,8 @@ MotionKind = Literal["free", "single_axis", "translation"]
 never turning. The last two leave directions that no calibration can find."""
 
 _CANDIDATES = 48
+_SCATTER = 0.08  # of the image and of the range of distances, among the candidates
+_R3 = 1.22074408460575947536 ** -np.arange(1.0, 4.0)
 _READABLE_SHARE = 0.35  # of the features, for a pose to count as in front of the camera
 _LARGEST_TILT_RAD = np.deg2rad(55.0)
 _LARGEST_YAW_RAD = np.deg2rad(45.0)
@@ -29,13 +31,14 @@ def board_waypoints(
     rig: Rig, board: Board, motion: MotionKind, limits: ViewLimits, rng: np.random.Generator
 ) -> Iterator[FloatArray]:
     """Endless rig_T_board (4, 4), poses in which the camera whose turn it is can read the board. The board's
-    middle falls anywhere in its image with equal density."""
+    middle falls everywhere in its image."""
     features = features_of(board)
     middle_m = board.corners_m.mean(axis=0)
     resting = _resting_rotation(rig, rng)
+    placers = [_Placer(rig, index, rng) for index in range(len(rig.cameras))]
     while True:
         for index in rng.permutation(len(rig.cameras)):
-            positions_m = _positions(rig, index, rng)
+            positions_m = placers[index].candidates()
             rotations = _rotations(rig, index, positions_m, motion, resting, rng)
             rig_T_board = transform(rotations, positions_m - rotations.apply(middle_m))
             camera_T_board = inverse(rig.rig_T_camera[index]) @ rig_T_board
@@ -48,15 +51,32 @@ def _first_readable(camera: Camera, camera_T_board: FloatArray, features: Featur
     return int(np.argmax(np.minimum(share, _READABLE_SHARE)))
 
 
-def _positions(rig: Rig, index: int, rng: np.random.Generator) -> FloatArray:
-    """(N, 3) candidates for the board's middle in the rig frame, even over the camera's image and over the
-    logarithm of the distance."""
-    camera = rig.cameras[index]
-    size_px = np.array([camera.image_width_px, camera.image_height_px])
-    bearings, valid = camera.unproject(rng.uniform(-0.5, size_px - 0.5, (4 * _CANDIDATES, 2)))
-    bearings = bearings[valid][:_CANDIDATES]
-    distances_m = np.exp(rng.uniform(np.log(rig.nearest_m), np.log(rig.farthest_m), len(bearings)))
-    return apply(rig.rig_T_camera[index], bearings * distances_m[:, None])
+class _Placer:
+    """Places for the board's middle in front of one camera, by a low-discrepancy sequence (Roberts' R3): a few
+    already cover the image and the distances evenly, the latter by their logarithm."""
+
+    def __init__(self, rig: Rig, index: int, rng: np.random.Generator) -> None:
+        self._rig, self._index, self._rng = rig, index, rng
+        self._point = rng.uniform(size=3)
+
+    def candidates(self) -> FloatArray:
+        """(N, 3) places in the rig frame, around the sequence's next place that the lens can see."""
+        camera = self._rig.cameras[self._index]
+        size_px = np.array([camera.image_width_px, camera.image_height_px])
+        bearings = np.empty((0, 3))
+        while not len(bearings):
+            self._point = (self._point + _R3) % 1.0
+            pixels_px = self._scattered(self._point[:2]) * size_px - 0.5
+            bearings, valid = camera.unproject(pixels_px)
+            bearings = bearings[valid]
+        nearest, farthest = np.log(self._rig.nearest_m), np.log(self._rig.farthest_m)
+        shares = self._scattered(self._point[2:])[: len(bearings)]
+        distances_m = np.exp(nearest + shares * (farthest - nearest))
+        return apply(self._rig.rig_T_camera[self._index], bearings * distances_m)
+
+    def _scattered(self, middle: FloatArray) -> FloatArray:
+        """(N, D) points of the unit cube around one (D,)."""
+        return np.clip(middle + self._rng.uniform(-_SCATTER, _SCATTER, (_CANDIDATES, len(middle))), 0.0, 1.0)
 
 
 def _rotations(
