@@ -124,6 +124,22 @@ def test_the_same_optimum_for_every_model_and_choice_of_variables(label: str, fr
     assert_same_solution(scene(label, outlier_px=2.0), RobustKernel.named("Huber"), free)
 
 
+@pytest.mark.parametrize("fused", [False, True])
+def test_covariance_with_free_intrinsics_keeps_seven_digits(fused: bool) -> None:
+    """Sums of J^T J square the condition number, here 1e4: against the QR of the stacked Jacobian."""
+    seen = scene(n_views=40)
+    values = seen.initial(free_theta=True)
+    stacked, _ = seen.graph(fused=False, free_theta=True).linearize(values).jacobian()
+    root = np.linalg.inv(np.linalg.qr(stacked, mode="r"))
+    expected, start = root @ root.T, 0
+    marginals = gtsam.Marginals(seen.graph(fused=fused, free_theta=True), values)
+    for key in values.keys():  # noqa: SIM118  # GTSAM stacks the columns in the order of the keys
+        covariance = marginals.marginalCovariance(key)
+        block = slice(start, start := start + len(covariance))
+        sigma = np.sqrt(np.diag(expected)[block])
+        np.testing.assert_allclose((covariance - expected[block, block]) / np.outer(sigma, sigma), 0.0, atol=1e-7)
+
+
 def test_the_optimum_is_the_truth_without_noise() -> None:
     seen = scene(noise_px=0.0)
     solved = optimum(seen.graph(fused=True), seen.initial())
