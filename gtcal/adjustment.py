@@ -25,7 +25,6 @@ from gtcal.graph import (
 from gtcal.observations import Views
 from gtcal.options import CalibrationOptions
 from gtcal.progress import Progress, silent
-from gtcal.residuals import chain_residuals_px, norms
 from gtcal.screening import Screened, keep_all, screen
 
 MAX_ROUNDS = 6
@@ -55,15 +54,15 @@ def adjust(
 ) -> Adjusted:
     """Screen and solve in turns, until the same corners stay."""
     screened = _screened(views, start, options)
-    estimate, sigma_px = start, _sigma_px(screened, start, options)
+    estimate, sigma_px = start, _sigma_px(screened, options)
     errors: tuple[float, ...] = ()
     for done in range(MAX_ROUNDS):
         progress("stage 3: pixels", done, MAX_ROUNDS)
         estimate, found = _minimised(screened, estimate, sigma_px, options)
-        errors += found
+        errors += found[1:] if errors else found
         before = screened, sigma_px
         screened = _screened(views, estimate, options)
-        sigma_px = _sigma_px(screened, estimate, options)
+        sigma_px = _sigma_px(screened, options)
         if screened.same_as(before[0]) and _settled(before[1], sigma_px, options):
             break
     progress("stage 3: pixels", MAX_ROUNDS, MAX_ROUNDS)
@@ -73,7 +72,7 @@ def adjust(
 def not_adjusted(views: Mapping[str, Views], start: Estimate, options: CalibrationOptions) -> Adjusted:
     """The ablation without stage 3: the start, screened, with the graph that stage 3 would have minimised."""
     screened = _screened(views, start, options)
-    return _adjusted(screened, start, _sigma_px(screened, start, options), options, ())
+    return _adjusted(screened, start, _sigma_px(screened, options), options, ())
 
 
 def _adjusted(
@@ -89,7 +88,7 @@ def _adjusted(
 
 
 def _screened(views: Mapping[str, Views], estimate: Estimate, options: CalibrationOptions) -> Screened:
-    return screen(views, estimate) if options.screen else keep_all(views)
+    return screen(views, estimate) if options.screen else keep_all(views, estimate)
 
 
 def _minimised(
@@ -123,16 +122,17 @@ def _prior(views: Views, options: CalibrationOptions) -> IntrinsicsPrior:
     return IntrinsicsPrior(sigmas)
 
 
-def _sigma_px(screened: Screened, estimate: Estimate, options: CalibrationOptions) -> float:
+def _sigma_px(screened: Screened, options: CalibrationOptions) -> float:
     """Standard deviation of a pixel coordinate: as given; or from the residuals, by their median length under a robust
     kernel, else by their mean square over the degrees of freedom."""
     if options.sigma_px is not None:
         return options.sigma_px
-    lengths = np.concatenate([norms(chain_residuals_px(views, estimate)) for views in screened.views.values()])
+    lengths = np.concatenate(list(screened.lengths_px.values()))
     if options.robust != RobustKernel():
         return max(float(np.median(lengths)) / _MEDIAN_LENGTH, 1e-6)
     finite = lengths[np.isfinite(lengths)]
-    unknowns = 6 + sum(6 + len(estimate.theta[name]) * options.refine_intrinsics for name in screened.views)
+    models = [views.camera.model for views in screened.views.values()]
+    unknowns = 6 + sum(6 + model.n_parameters * options.refine_intrinsics for model in models)
     return max(float(np.sqrt((finite**2).sum() / max(2 * len(finite) - unknowns, 1))), 1e-6)
 
 

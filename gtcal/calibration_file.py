@@ -34,7 +34,7 @@ SCHEMA_VERSION = 1
 
 CONVENTIONS = (
     "a_T_b takes coordinates in frame b to coordinates in frame a, in m. A covariance is that of xi in "
-    "a_T_b * Exp(xi), the tangent of GTSAM's Pose3: rotation first (rad), then translation (m), both along the axes of b. "
+    "a_T_b * Exp(xi), the tangent of GTSAM's Pose3: rotation first (rad), then translation (m), along the axes of b. "
     "Camera frame: x right, y down, z forward. Pixels: integer coordinates are pixel centres. "
     "rmse_px is pooled per corner, the root of the mean squared norm."
 )

@@ -42,7 +42,7 @@ class CalibrationOptions:
     eps: float = 1e-4
     max_iterations: int = 100
     screen: bool = True
-    pnp_views: int = 300
+    pnp_views: int = 100
     seed: int = 0
     allow_degenerate: bool = False
 

@@ -28,6 +28,7 @@ MAX_OFF_MEAN_RAD = np.deg2rad(75.0)
 
 _REFINEMENT = RobustKernel("Cauchy", 2.0)  # px: a wrong tag must not turn its view's pose
 _REFINEMENT_STEPS = 8
+_ENOUGH = 1e-4  # relative gain of the loss: these poses guide, they are not the answer
 _PARALLEL_FROM_VIEWS = 64
 
 
@@ -152,7 +153,7 @@ def _refine(corners: CornerViews, camera: Camera, camera_T_board: FloatArray) ->
         camera_T_board = np.where(better[:, None, None], tried_T, camera_T_board)
         now.moments[better], now.loss[better] = tried.moments[better], tried.loss[better]
         damping = np.where(better, 0.1 * damping, 10.0 * damping)
-        if not better.any() or gain.max() < 1e-6:
+        if not better.any() or gain.max() < _ENOUGH:
             break
     return _Refined(camera_T_board, now.loss)
 

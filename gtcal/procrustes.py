@@ -1,8 +1,8 @@
 """Stage 1: a sweep of closed-form (Procrustes) updates from many starting rotations, in constant time.
 
 E_3D = sum over cameras c, views v and corners p of |Y_c A_v X p - That_v p|^2 with Y_c = camera_T_ref,
-A_v = ref_T_body, X = body_T_board and That_v the PnP pose. With M_v = sum p p^T over homogeneous corners, each alternate
-update needs only a 4 x 4 matrix H that is linear in the other unknown:
+A_v = ref_T_body, X = body_T_board and That_v the PnP pose. With M_v = sum p p^T over homogeneous corners, each
+alternate update needs only a 4 x 4 matrix H that is linear in the other unknown:
 
     Y_c given X:  H = sum_v (That_v M_v) (A_v X)^T       = K_c : X
     X given Y:    H = sum_v A_v^-1 Y_c^-1 (That_v M_v)   = L_c : Y_c^-1

@@ -36,7 +36,9 @@ def residual_norms_px(views: Views, camera_T_board: FloatArray) -> FloatArray:
 
 def norms(residuals_px: FloatArray) -> FloatArray:
     """(N,) norms of residuals (N, 2), infinite for NaN."""
-    return np.nan_to_num(np.hypot(residuals_px[:, 0], residuals_px[:, 1]), nan=np.inf)
+    lengths = np.sqrt(residuals_px[:, 0] ** 2 + residuals_px[:, 1] ** 2)
+    lengths[np.isnan(lengths)] = np.inf
+    return lengths
 
 
 @kernel

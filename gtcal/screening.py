@@ -7,7 +7,7 @@ in the second, and the first needs no faultless corners.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -31,9 +31,11 @@ FLOOR_PX = 0.3
 
 @dataclass(frozen=True)
 class Screened:
-    """The views and corners that stay, by camera; with their masks over the views (V,) and corners (N,) screened."""
+    """The views and corners that stay, by camera, and the lengths (n,) of their residuals under the estimate; with
+    their masks over the views (V,) and corners (N,) screened."""
 
     views: dict[str, Views]
+    lengths_px: dict[str, FloatArray]
     keep_view: dict[str, BoolArray]
     keep_corner: dict[str, BoolArray]
 
@@ -60,29 +62,39 @@ class Screened:
 def screen(views: Mapping[str, Views], estimate: Estimate) -> Screened:
     """Drop the views, then the corners, whose residuals under the estimate are gross. At least half of a camera's
     views stay whatever their residuals are, since the gate is relative to their median."""
-    masks = {name: _masks(of_camera, chain_residuals_px(of_camera, estimate)) for name, of_camera in views.items()}
-    return Screened(
-        {name: select_corners(of_camera, masks[name][1]) for name, of_camera in views.items()},
-        {name: keep_view for name, (keep_view, _) in masks.items()},
-        {name: keep_corner for name, (_, keep_corner) in masks.items()},
-    )
+    return _screened(views, estimate, _masks)
 
 
-def keep_all(views: Mapping[str, Views]) -> Screened:
+def keep_all(views: Mapping[str, Views], estimate: Estimate) -> Screened:
     """No screening."""
-    return Screened(
-        dict(views),
-        {name: np.ones(of_camera.n_views, dtype=bool) for name, of_camera in views.items()},
-        {name: np.ones(of_camera.n_corners, dtype=bool) for name, of_camera in views.items()},
-    )
+    return _screened(views, estimate, _all)
 
 
-def _masks(views: Views, residuals_px: FloatArray) -> tuple[BoolArray, BoolArray]:
+def _screened(
+    views: Mapping[str, Views],
+    estimate: Estimate,
+    masks: Callable[[Views, FloatArray, FloatArray], tuple[BoolArray, BoolArray]],
+) -> Screened:
+    kept, lengths_px, keep_view, keep_corner = {}, {}, {}, {}
+    for name, of_camera in views.items():
+        residuals_px = chain_residuals_px(of_camera, estimate)
+        lengths = norms(residuals_px)
+        keep_view[name], keep = masks(of_camera, residuals_px, lengths)
+        keep_corner[name], lengths_px[name] = keep, lengths[keep]
+        kept[name] = of_camera if keep.all() else select_corners(of_camera, keep)
+    return Screened(kept, lengths_px, keep_view, keep_corner)
+
+
+def _all(views: Views, residuals_px: FloatArray, lengths_px: FloatArray) -> tuple[BoolArray, BoolArray]:
+    return np.ones(views.n_views, dtype=bool), np.ones(views.n_corners, dtype=bool)
+
+
+def _masks(views: Views, residuals_px: FloatArray, lengths_px: FloatArray) -> tuple[BoolArray, BoolArray]:
     """Which views (V,) and corners (N,) stay. A corner without a pixel (NaN) counts as infinitely far off."""
-    of_view = median_by_view(views, norms(residuals_px))
+    of_view = median_by_view(views, lengths_px)
     keep_view = of_view <= max(VIEW_GATE * float(np.median(of_view)), FLOOR_PX)
     shift = np.stack([median_by_view(views, residuals_px[:, axis]) for axis in range(2)], axis=1)
-    from_view = norms(residuals_px - shift[views.view_of_corner])
-    in_kept_view = keep_view[views.view_of_corner]
+    from_view = norms(residuals_px - np.repeat(shift, np.diff(views.view_start), axis=0))
+    in_kept_view = np.repeat(keep_view, np.diff(views.view_start))
     usual = float(np.median(from_view[in_kept_view]))
     return keep_view, in_kept_view & (from_view <= max(CORNER_GATE * usual, FLOOR_PX))

@@ -207,5 +207,5 @@ def _camera(views: Views, adjusted: Adjusted, sigmas: Covariances | None) -> Cam
         camera=replace(views.camera, parameters=estimate.theta[name]),
         camera_T_ref=PoseEstimate(estimate.camera_T_ref[name], sigmas.camera_T_ref[name] if sigmas else None),
         theta_covariance=sigmas.theta.get(name) if sigmas else None,
-        residuals=ResidualStatistics.of(norms(chain_residuals_px(used, estimate)), used.n_views),
+        residuals=ResidualStatistics.of(adjusted.screened.lengths_px[name], used.n_views),
     )

@@ -43,7 +43,7 @@ def calibrate(
     eps: float = 1e-4,
     max_iterations: int = 100,
     screen: bool = True,
-    pnp_views: int = 300,
+    pnp_views: int = 100,
     seed: int = 0,
     allow_degenerate: bool = False,
     verbose: Annotated[bool, tyro.conf.arg(aliases=["-v"])] = False,

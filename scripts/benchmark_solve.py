@@ -1,0 +1,280 @@
+"""How fast the solver is, as ratios to its peers in the same run.
+
+4 cameras, 1,000 frames, about 250,000 corners, at the level of detections: the time of every stage, PnP and marginals
+included; beside it, to the same optimum, scipy.optimize.least_squares with the analytic Jacobian, and one CustomFactor
+per corner (on a subset of the views, scaled by the number of corners). Then the growth with the number of frames, with
+peak memory, each size in a process of its own.
+
+    python scripts/benchmark_solve.py                 # all of it, about five minutes on two cores
+    python scripts/benchmark_solve.py --no-growth     # the comparison only
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import resource
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Mapping
+from typing import TypeVar
+
+import gtsam
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+from scipy.optimize import least_squares
+
+from factors import CornerReprojectionFactor, RobustKernel
+from factors.moments import chain
+from gtcal import CalibrationOptions, board_from_manifest, synchronise
+from gtcal.adjustment import adjust, covariances
+from gtcal.alignment import GuideViews, stage_1, stage_2
+from gtcal.camera import FloatArray
+from gtcal.estimate import Estimate
+from gtcal.graph import BODY_T_BOARD, camera_T_ref_key, minimise, reprojection_graph, to_values, updated
+from gtcal.observations import Observations, Views
+from gtcal.pnp import solve_pnp
+from gtcal.residuals import chain_residuals_px, select_views
+from gtcal.simulation import SimulationOptions, quest3_like_rig, simulate
+
+BOARD = {
+    "type": "aprilgrid",
+    "family": "36h11",
+    "tag_columns": 6,
+    "tag_rows": 6,
+    "tag_side_m": 0.055,
+    "tag_spacing": 0.3,
+}
+OPTIONS = CalibrationOptions()
+GROWTH_FRAMES = (250, 1_000, 4_000, 16_000)
+FRAME_RATE_HZ = 30.0
+PER_CORNER_VIEWS = 10  # of each camera
+
+T = TypeVar("T")
+Seconds = dict[str, float]
+
+
+def timed(work: Callable[[], T]) -> tuple[T, float]:
+    started = time.perf_counter()
+    result = work()
+    return result, time.perf_counter() - started
+
+
+def recording_of(n_frames: int) -> Observations:
+    """A headset and a board, both tracked; every frame of a minute or of as long as it takes."""
+    options = SimulationOptions(
+        rig=quest3_like_rig(),
+        board=board_from_manifest(BOARD),
+        n_frames=n_frames,
+        duration_s=max(60.0, n_frames / FRAME_RATE_HZ),
+        camera_rate_hz=FRAME_RATE_HZ,
+    )
+    return synchronise(simulate(options, seed=0).recording)
+
+
+def guided(views: Mapping[str, Views]) -> dict[str, GuideViews]:
+    return {name: GuideViews.of(v, solve_pnp(v, max_views=OPTIONS.pnp_views)) for name, v in views.items()}
+
+
+def solve(views: Mapping[str, Views]) -> tuple[Estimate, Estimate, Seconds]:
+    """Where stage 2 and stage 3 end, and what each part takes."""
+    seconds: Seconds = {}
+    guides, seconds["PnP"] = timed(lambda: guided(views))
+    aligned, seconds["stage 1: sweeps"] = timed(lambda: stage_1(guides, np.random.default_rng(0)))
+    (start, _), seconds["stage 2: 3-D alignment"] = timed(
+        lambda: stage_2(aligned.views, aligned.estimate, eps=OPTIONS.eps, max_iterations=100)
+    )
+    adjusted, seconds["stage 3: pixels, screened twice"] = timed(lambda: adjust(views, start, OPTIONS))
+    _, seconds["marginals"] = timed(lambda: covariances(adjusted))
+    return start, adjusted.estimate, seconds
+
+
+def stage_3_alone(views: Mapping[str, Views], start: Estimate) -> tuple[Estimate, float]:
+    """The minimisation of stage 3 without screening: what its peers do too."""
+    graph = reprojection_graph(views, start, sigma_px=1.0, robust=RobustKernel(), intrinsics_priors=None)
+    found, seconds = timed(
+        lambda: minimise(graph, to_values(start, with_theta=False), eps=OPTIONS.eps, max_iterations=100)
+    )
+    return updated(start, found.values), seconds
+
+
+def scipy_alone(views: Mapping[str, Views], start: Estimate) -> tuple[Estimate, float]:
+    """The same minimisation by MINPACK's Levenberg-Marquardt, with vectorised residuals and Jacobian."""
+
+    def residuals(x: FloatArray) -> FloatArray:
+        estimate = moved(start, x)
+        by_camera = [chain_residuals_px(v, estimate) for v in views.values()]
+        outside = 2.0 * np.concatenate([np.full(v.n_corners, v.camera.theta[0]) for v in views.values()])
+        found = np.concatenate(by_camera)
+        return np.where(np.isnan(found), outside[:, None], found).ravel()
+
+    def jacobian(x: FloatArray) -> FloatArray:
+        estimate = moved(start, x)
+        return np.concatenate([camera_jacobian(v, estimate, i, len(views), x) for i, v in enumerate(views.values())])
+
+    found, seconds = timed(
+        lambda: least_squares(residuals, np.zeros(6 + 6 * len(views)), jacobian, method="lm", ftol=1e-6)
+    )
+    return moved(start, found.x), seconds
+
+
+def moved(start: Estimate, x: FloatArray) -> Estimate:
+    """The estimate with X and every Y_c moved by T * Exp(xi)."""
+    poses = {
+        name: pose @ gtsam.Pose3.Expmap(x[6 + 6 * i : 12 + 6 * i]).matrix()
+        for i, (name, pose) in enumerate(start.camera_T_ref.items())
+    }
+    return Estimate(start.body_T_board @ gtsam.Pose3.Expmap(x[:6]).matrix(), poses, start.theta)
+
+
+def camera_jacobian(views: Views, estimate: Estimate, index: int, n_cameras: int, x: FloatArray) -> FloatArray:
+    """Residuals' derivative (2 N, 6 + 6 C) by the steps x of ``moved``."""
+    camera_T_ref = estimate.camera_T_ref[views.camera.name]
+    ref_T_board = chain(np.eye(4), views.ref_T_body, estimate.body_T_board)[views.view_of_corner]
+    in_ref = np.einsum("nij,nj->ni", ref_T_board[:, :3, :3], views.corners_m) + ref_T_board[:, :3, 3]
+    in_camera = in_ref @ camera_T_ref[:3, :3].T + camera_T_ref[:3, 3]
+    _, valid, J_point, _ = views.camera.model.project_with_jacobians(in_camera, views.camera.theta)
+    by_ref = np.where(valid[:, None, None], J_point, 0.0) @ camera_T_ref[:3, :3]
+    by_board = by_ref @ ref_T_board[:, :3, :3]
+    J = np.zeros((len(in_ref), 2, 6 + 6 * n_cameras))
+    J[:, :, :3], J[:, :, 3:6] = np.cross(views.corners_m[:, None], by_board), by_board
+    own = 6 + 6 * index
+    J[:, :, own : own + 3], J[:, :, own + 3 : own + 6] = np.cross(in_ref[:, None], by_ref), by_ref
+    J = J.reshape(-1, J.shape[2])
+    J[:, :6] = J[:, :6] @ right_jacobian(x[:6])
+    J[:, own : own + 6] = J[:, own : own + 6] @ right_jacobian(x[own : own + 6])
+    return J
+
+
+def right_jacobian(xi: FloatArray) -> FloatArray:
+    """d Exp(xi) in the tangent at Exp(xi)."""
+    return np.asarray(gtsam.Pose3.ExpmapDerivative(xi))
+
+
+def per_corner_alone(views: Mapping[str, Views], start: Estimate) -> tuple[Estimate, float]:
+    """One CustomFactor per corner."""
+    graph = gtsam.NonlinearFactorGraph()
+    noise = gtsam.noiseModel.Unit.Create(2)
+    for index, v in enumerate(views.values()):
+        for n, view in enumerate(v.view_of_corner):
+            graph.add(
+                CornerReprojectionFactor(
+                    camera_T_ref_key(index),
+                    BODY_T_BOARD,
+                    corner_m=v.corners_m[n],
+                    corner_px=v.corners_px[n],
+                    model=v.camera.model,
+                    ref_T_body=v.ref_T_body[view],
+                    theta=v.camera.theta,
+                    noise_model=noise,
+                )
+            )
+    found, seconds = timed(
+        lambda: minimise(graph, to_values(start, with_theta=False), eps=OPTIONS.eps, max_iterations=100)
+    )
+    return updated(start, found.values), seconds
+
+
+def difference_mm(a: Estimate, b: Estimate) -> float:
+    """Largest difference of a translation, in mm."""
+    pairs = [(a.body_T_board, b.body_T_board), *zip(a.camera_T_ref.values(), b.camera_T_ref.values(), strict=True)]
+    return 1e3 * max(float(np.abs(one[:3, 3] - other[:3, 3]).max()) for one, other in pairs)
+
+
+def compare(console: Console) -> None:
+    views = recording_of(1_000).views
+    n_corners = sum(v.n_corners for v in views.values())
+    console.print(f"{len(views)} cameras, 1,000 frames, {n_corners:,} corners")
+    solve(views)  # compiles the kernels
+    start, _, seconds = min((solve(views) for _ in range(3)), key=lambda run: sum(run[2].values()))
+    ours, ours_s = min((stage_3_alone(views, start) for _ in range(3)), key=lambda run: run[1])
+    total_s = sum(seconds.values())
+    parts = Table("part", "s", "of stage 3")
+    for name, part_s in seconds.items():
+        parts.add_row(name, f"{part_s:.3f}", f"{part_s / ours_s:.2f}")
+    parts.add_row("all of it", f"{total_s:.3f}", f"{total_s / ours_s:.2f}", style="bold")
+    console.print(parts)
+
+    by_scipy, scipy_s = scipy_alone(views, start)
+    few = {
+        name: select_views(v, np.linspace(0, v.n_views - 1, PER_CORNER_VIEWS).astype(np.int64))
+        for name, v in views.items()
+    }
+    n_few = sum(v.n_corners for v in few.values())
+    per_corner_alone(few, start)
+    by_corner, few_s = per_corner_alone(few, start)
+    few_fused, _ = stage_3_alone(few, start)
+    peers = Table("stage 3 by", "s", "times ours", "difference of the optimum, mm")
+    peers.add_row("ours: one fused factor per camera", f"{ours_s:.3f}", "1", "")
+    peers.add_row(
+        "scipy least_squares, analytic Jacobian",
+        f"{scipy_s:.2f}",
+        f"{scipy_s / ours_s:.0f}",
+        f"{difference_mm(by_scipy, ours):.1e}",
+    )
+    per_corner_s = few_s * n_corners / n_few
+    peers.add_row(
+        f"a CustomFactor per corner, scaled from {n_few:,}",
+        f"{per_corner_s:.1f}",
+        f"{per_corner_s / ours_s:.0f}",
+        f"{difference_mm(by_corner, few_fused):.1e}",
+    )
+    console.print(peers)
+
+
+def one_size(n_frames: int) -> None:
+    """Print, as JSON, what one size takes; the peak memory is that of this process."""
+    views = recording_of(n_frames).views
+    before_mib = peak_mib()
+    solve(recording_of(60).views)  # compiles the kernels
+    start, _, seconds = solve(views)
+    _, seconds["stage 3, minimisation alone"] = stage_3_alone(views, start)
+    print(
+        json.dumps(
+            {
+                "corners": sum(v.n_corners for v in views.values()),
+                "seconds": seconds,
+                "simulated_mib": before_mib,
+                "peak_mib": peak_mib(),
+            }
+        )
+    )
+
+
+def peak_mib() -> float:
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+
+
+def growth(console: Console) -> None:
+    table = Table("frames", "corners", title="growth with the number of frames, s", title_justify="left")
+    columns = ("PnP", "stage 1: sweeps", "stage 2: 3-D alignment", "stage 3, minimisation alone", "marginals")
+    for heading in (*columns, "peak memory, MiB", "of it to simulate"):
+        table.add_column(heading, justify="right")
+    for n_frames in GROWTH_FRAMES:
+        with console.status(f"{n_frames:,} frames"):
+            command = [sys.executable, __file__, "--one-size", str(n_frames)]
+            found = json.loads(subprocess.run(command, check=True, capture_output=True, text=True).stdout)
+        seconds = (f"{found['seconds'][column]:.3f}" for column in columns)
+        memory = f"{found['peak_mib']:.0f}", f"{found['simulated_mib']:.0f}"
+        table.add_row(f"{n_frames:,}", f"{found['corners']:,}", *seconds, *memory)
+    console.print(table)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--no-growth", action="store_true", help="leave the table of growth out")
+    parser.add_argument("--one-size", type=int, metavar="FRAMES", help=argparse.SUPPRESS)
+    arguments = parser.parse_args()
+    console = Console(width=140)
+    if arguments.one_size:
+        return one_size(arguments.one_size)
+    compare(console)
+    if not arguments.no_growth:
+        growth(console)
+    return None
+
+
+if __name__ == "__main__":
+    main()
