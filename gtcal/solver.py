@@ -33,6 +33,9 @@ from gtcal.residuals import chain_residuals_px, median_by_view, norms
 DISAGREEMENT_RAD = np.deg2rad(3.0)
 """A typical residual of this angle after alignment is no noise: the files contradict each other."""
 
+WEAK_SIGMA_MM, WEAK_SIGMA_DEG = 2.0, 0.2
+"""A 1-sigma over this, on pixel noise alone, is no ground truth."""
+
 MANY_DROPPED = 0.25
 """A share of gross views that an operator should hear of."""
 
@@ -67,7 +70,7 @@ def calibrate_observations(
     options = options or CalibrationOptions()
     views = observations.views
     _check_enough(views, options)
-    warnings = _motion_warnings(views, options)
+    _motion_warnings(views, options)
     estimate, reports = _align(views, options, progress)
     adjusted, report = _adjust(views, estimate, options, progress)
     sigmas = covariances(adjusted) if 3 in options.stages else None
@@ -81,7 +84,7 @@ def calibrate_observations(
         covariance_kind=NAIVE,
         stages=(*earlier, *reports, *report),
         dropped=observations.dropped + adjusted.screened.dropped(views),
-        warnings=(*warnings, *_screening_warnings(adjusted)),
+        warnings=_warnings(adjusted, sigmas, options),
         provenance=provenance(options, inputs, time.perf_counter() - started),
         solution=Solution(adjusted.graph, adjusted.values, final, adjusted.screened.views),
     )
@@ -110,6 +113,25 @@ def _motion_warnings(views: Mapping[str, Views], options: CalibrationOptions) ->
             raise
         warning = str(error)
     return () if warning is None else (warning,)
+
+
+def _warnings(adjusted: Adjusted, sigmas: Covariances | None, options: CalibrationOptions) -> tuple[str, ...]:
+    """The motion is looked at again without the gross views, whose wrong poses would pass for turns."""
+    motion = _motion_warnings(adjusted.screened.views, options)
+    return (*motion, *_screening_warnings(adjusted), *(_sigma_warnings(adjusted, sigmas) if sigmas else ()))
+
+
+def _sigma_warnings(adjusted: Adjusted, sigmas: Covariances) -> tuple[str, ...]:
+    found = []
+    for name, covariance in sigmas.camera_T_ref.items():
+        pose = PoseEstimate(adjusted.estimate.camera_T_ref[name], covariance)
+        mm, deg = pose.position_of_a_in_b_sigma_mm, pose.rotation_sigma_deg
+        if mm is not None and deg is not None and (mm.max() > WEAK_SIGMA_MM or deg.max() > WEAK_SIGMA_DEG):
+            found.append(
+                f"camera {name!r} is weakly determined (1-sigma {mm.max():.2g} mm, {deg.max():.2g} deg): record more "
+                "views of the board, nearer, over the whole image, and turned about several axes"
+            )
+    return tuple(found)
 
 
 def _screening_warnings(adjusted: Adjusted) -> tuple[str, ...]:
