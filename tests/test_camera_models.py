@@ -98,9 +98,7 @@ def test_the_distance_does_not_matter(label: str, scale: float) -> None:
     model, theta = camera(label)
     bearings = field(model, theta)
     pixels, valid = model.project(bearings, theta)
-    np.testing.assert_allclose(
-        model.project(scale * bearings[valid], theta)[0], pixels[valid], rtol=1e-14, atol=1e-12
-    )
+    np.testing.assert_allclose(model.project(scale * bearings[valid], theta)[0], pixels[valid], rtol=1e-14, atol=1e-12)
 
 
 def assert_masked(model: CameraModel, theta: np.ndarray, points: np.ndarray) -> None:
@@ -118,6 +116,19 @@ def test_beyond_the_field_there_is_no_pixel(label: str) -> None:
     if limit < np.pi:
         assert_masked(model, theta, off_axis(np.linspace(1.000001 * limit, np.pi, 200)))
     assert model.project(off_axis(np.array([0.99 * limit])), theta)[1].all()
+
+
+@pytest.mark.parametrize(("label", "index"), [("quest3", 10), ("thin_prism", 11), ("strong_barrel", 6)])
+def test_where_the_tangential_part_folds_there_is_no_pixel(label: str, index: int) -> None:
+    model, theta = camera(label)
+    theta[index] = -0.2  # p0, p1, and OpenCV's p1
+    bearings = field(model, theta)
+    pixels, valid = model.project(bearings, theta)
+    assert 0.1 < valid.mean() < 0.99
+    assert np.isnan(pixels[~valid]).all()
+    back, found = model.unproject(pixels[valid], theta)
+    assert found.all()
+    np.testing.assert_allclose(back, bearings[valid], rtol=0, atol=1e-9)
 
 
 @every_camera
