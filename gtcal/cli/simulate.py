@@ -49,7 +49,7 @@ def simulate(
 
     Args:
         output: Folder to write; it must be new or empty.
-        images: Render images (25 s for the default 4 x 80 of 1280 x 1024 on two cores) in place of simulated
+        images: Render images (about 20 s for the default 4 x 80 of 1280 x 1024 on two cores) in place of simulated
             detections (instantly).
         rig: 'headset': four Fisheye62 cameras like a Quest 3's, two in front and two on the sides. 'fixed': four
             cameras with pinhole and Kannala-Brandt lenses on half a circle around a volume.
