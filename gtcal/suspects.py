@@ -5,7 +5,7 @@ The alignment of stage 1 costs the same for any number of views, so each suspici
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from itertools import combinations
 
@@ -41,10 +41,16 @@ def _as_xyzw(world_T_body: FloatArray) -> FloatArray:
     return poses_from_quaternions(columns, "xyzw", world_T_body[:, :3, 3])
 
 
+def _scaled(factor: float) -> Callable[[FloatArray], FloatArray]:
+    return lambda world_T_body: world_T_body * np.array([[1.0, 1.0, 1.0, factor]] * 3 + [[1.0] * 4])
+
+
 SUSPICIONS = (
     Suspicion("set {body}.quaternion: wxyz", _as_wxyz),
     Suspicion("set {body}.quaternion: xyzw", _as_xyzw),
     Suspicion("set {body}.pose: body_T_world (or world_T_body, if that is what it says)", inverse),
+    Suspicion("set {body}.length_unit: mm", _scaled(1e-3)),
+    Suspicion("set {body}.length_unit: m", _scaled(1e3)),
 )
 
 
@@ -54,18 +60,23 @@ def likely_mistake(observations: Observations, *, seed: int, max_views: int) -> 
         name: GuideViews.of(views, solve_pnp(views, max_views=max_views)) for name, views in observations.views.items()
     }
     stated_m = _misalignment_m(guides, observations.motion, seed)
-    motion = observations.motion
-    tried = [
-        (_misalignment_m(guides, _reread(motion, bodies, suspicion), seed), bodies, suspicion)
-        for suspicion in SUSPICIONS
-        for size in range(1, len(motion.trajectories) + 1)
-        for bodies in combinations(motion.trajectories, size)
-    ]
-    best_m, bodies, suspicion = min(tried, key=lambda trial: trial[0])
+    tried = [(_misalignment_m(guides, motion, seed), fix) for fix, motion in _readings(observations.motion)]
+    best_m, fix = min(tried)
     if best_m > CONVINCING * stated_m:
         return ""
-    fixes = " and ".join(suspicion.fix.format(body=body) for body in bodies)
-    return f"they agree to {1e3 * best_m:.1f} mm instead of {1e3 * stated_m:.1f} mm if you {fixes} in the manifest"
+    return f"they agree to {1e3 * best_m:.1f} mm instead of {1e3 * stated_m:.1f} mm if you {fix} in the manifest"
+
+
+def _readings(motion: RefMotion) -> Iterator[tuple[str, RefMotion]]:
+    """Other readings of the trajectories, each with what to change in the manifest."""
+    for suspicion in SUSPICIONS:
+        for size in range(1, len(motion.trajectories) + 1):
+            for bodies in combinations(motion.trajectories, size):
+                fixes = " and ".join(suspicion.fix.format(body=body) for body in bodies)
+                yield fixes, _reread(motion, bodies, suspicion)
+    if len(motion.trajectories) == 2:
+        swapped = replace(motion, platform=motion.board_body, board_body=motion.platform)
+        yield "swap the trajectories of platform and board_body", swapped
 
 
 def _reread(motion: RefMotion, bodies: tuple[str, ...], suspicion: Suspicion) -> RefMotion:
