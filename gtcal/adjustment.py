@@ -30,7 +30,7 @@ from gtcal.screening import Screened, keep_all, screen
 MAX_ROUNDS = 6
 """Of screening and solving; two do unless the first estimate was poor."""
 
-_MEDIAN_LENGTH = float(np.sqrt(2.0 * np.log(2.0)))
+MEDIAN_LENGTH = float(np.sqrt(2.0 * np.log(2.0)))
 """Median length of a 2-D Gaussian vector with unit sigma in each coordinate (Rayleigh)."""
 
 
@@ -38,7 +38,8 @@ _MEDIAN_LENGTH = float(np.sqrt(2.0 * np.log(2.0)))
 class Adjusted:
     """Where stage 3 ended.
 
-    graph, values: of the last round, with the final sigma. errors: the graph's error from round to round.
+    graph, values: of the last round, with the final sigma. errors: the graph's error from round to round, times the
+        square of the round's sigma so that they compare: px^2, halved.
     screened: the views and corners that were used."""
 
     estimate: Estimate
@@ -59,7 +60,7 @@ def adjust(
     for done in range(MAX_ROUNDS):
         progress("stage 3: pixels", done, MAX_ROUNDS)
         estimate, found = _minimised(screened, estimate, sigma_px, options)
-        errors += found[1:] if errors else found
+        errors += tuple(sigma_px**2 * error for error in (found[1:] if errors else found))
         before = screened, sigma_px
         screened = _screened(views, estimate, options)
         sigma_px = _sigma_px(screened, options)
@@ -106,12 +107,15 @@ def _minimised(
 def _graph(
     screened: Screened, estimate: Estimate, sigma_px: float, options: CalibrationOptions
 ) -> gtsam.NonlinearFactorGraph:
-    priors = None
-    if options.refine_intrinsics:
-        priors = {name: _prior(of_camera, options) for name, of_camera in screened.views.items()}
+    priors = intrinsics_priors(screened.views, options) if options.refine_intrinsics else None
     return reprojection_graph(
         screened.views, estimate, sigma_px=sigma_px, robust=options.robust, intrinsics_priors=priors
     )
+
+
+def intrinsics_priors(views: Mapping[str, Views], options: CalibrationOptions) -> dict[str, IntrinsicsPrior]:
+    """What the options say of each camera's intrinsics."""
+    return {name: _prior(of_camera, options) for name, of_camera in views.items()}
 
 
 def _prior(views: Views, options: CalibrationOptions) -> IntrinsicsPrior:
@@ -129,7 +133,7 @@ def _sigma_px(screened: Screened, options: CalibrationOptions) -> float:
         return options.sigma_px
     lengths = np.concatenate(list(screened.lengths_px.values()))
     if options.robust != RobustKernel():
-        return max(float(np.median(lengths)) / _MEDIAN_LENGTH, 1e-6)
+        return max(float(np.median(lengths)) / MEDIAN_LENGTH, 1e-6)
     finite = lengths[np.isfinite(lengths)]
     models = [views.camera.model for views in screened.views.values()]
     unknowns = 6 + sum(6 + model.n_parameters * options.refine_intrinsics for model in models)

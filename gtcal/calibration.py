@@ -15,6 +15,9 @@ from gtcal.estimate import Estimate
 from gtcal.files import InputFile
 from gtcal.observations import Dropped, Views
 
+ERRORS_IN_VARIABLES = "errors_in_variables"
+"""The covariance of stage 4: the mocap's noise is modelled, by the sigmas that were given."""
+
 NAIVE = "naive"
 """The covariance of the paper's objective: corners independent, the mocap's poses exact, scaled by the residual. Mocap
 noise moves all corners of a frame together, so where it matters this is too small."""
@@ -76,7 +79,8 @@ def pose_difference(found_a_T_b: FloatArray, true_a_T_b: FloatArray) -> tuple[fl
 class ResidualStatistics:
     """Reprojection residuals of the corners that were used; norms in px.
 
-    rmse_px is pooled per corner: the root of the mean squared norm."""
+    rmse_px is pooled per corner: the root of the mean squared norm. n_without_pixel: corners among them that the result
+    places where the lens has no pixel; the other numbers leave them out."""
 
     rmse_px: float
     median_px: float
@@ -84,17 +88,20 @@ class ResidualStatistics:
     worst_px: float
     n_views: int
     n_corners: int
+    n_without_pixel: int
 
     @staticmethod
     def of(norms_px: FloatArray, n_views: int) -> ResidualStatistics:
-        """Of the corners' residual norms (N,)."""
+        """Of the corners' residual norms (N,), infinite for those without a pixel."""
+        finite = norms_px[np.isfinite(norms_px)]
         return ResidualStatistics(
-            rmse_px=float(np.sqrt(np.mean(norms_px**2))),
-            median_px=float(np.median(norms_px)),
-            p95_px=float(np.quantile(norms_px, 0.95)),
-            worst_px=float(norms_px.max()),
+            rmse_px=float(np.sqrt(np.mean(finite**2))),
+            median_px=float(np.median(finite)),
+            p95_px=float(np.quantile(finite, 0.95)),
+            worst_px=float(finite.max()),
             n_views=n_views,
             n_corners=len(norms_px),
+            n_without_pixel=len(norms_px) - len(finite),
         )
 
 
@@ -176,5 +183,6 @@ class Calibration:
     def rmse_px(self) -> float:
         """Pooled over the corners of all cameras."""
         parts = [camera.residuals for camera in self.cameras.values()]
-        squares = sum(part.rmse_px**2 * part.n_corners for part in parts)
-        return float(np.sqrt(squares / sum(part.n_corners for part in parts)))
+        counts = [part.n_corners - part.n_without_pixel for part in parts]
+        squares = sum(part.rmse_px**2 * count for part, count in zip(parts, counts, strict=True))
+        return float(np.sqrt(squares / sum(counts)))

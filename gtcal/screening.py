@@ -8,7 +8,7 @@ in the second, and the first needs no faultless corners.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -42,6 +42,11 @@ class Screened:
     def same_as(self, other: Screened) -> bool:
         """Whether the same corners stay."""
         return all(np.array_equal(keep, other.keep_corner[name]) for name, keep in self.keep_corner.items())
+
+    def under(self, estimate: Estimate) -> Screened:
+        """The same corners with their residuals under another estimate."""
+        lengths_px = {name: norms(chain_residuals_px(views, estimate)) for name, views in self.views.items()}
+        return replace(self, lengths_px=lengths_px)
 
     def dropped(self, screened: Mapping[str, Views]) -> tuple[Dropped, ...]:
         """What was left out of the views that were screened."""
@@ -93,7 +98,8 @@ def _masks(views: Views, residuals_px: FloatArray, lengths_px: FloatArray) -> tu
     """Which views (V,) and corners (N,) stay. A corner without a pixel (NaN) counts as infinitely far off."""
     of_view = median_by_view(views, lengths_px)
     keep_view = of_view <= max(VIEW_GATE * float(np.median(of_view)), FLOOR_PX)
-    shift = np.stack([median_by_view(views, residuals_px[:, axis]) for axis in range(2)], axis=1)
+    ranked = np.where(np.isnan(residuals_px), np.inf, residuals_px)  # a median of NaN would take the whole view along
+    shift = np.stack([median_by_view(views, ranked[:, axis]) for axis in range(2)], axis=1)
     from_view = norms(residuals_px - np.repeat(shift, np.diff(views.view_start), axis=0))
     in_kept_view = np.repeat(keep_view, np.diff(views.view_start))
     usual = float(np.median(from_view[in_kept_view]))

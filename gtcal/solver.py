@@ -11,6 +11,7 @@ import numpy as np
 from gtcal.adjustment import Adjusted, Covariances, adjust, covariances, not_adjusted
 from gtcal.alignment import GuideViews, fitting_views, stage_1, stage_2, without_stage_1
 from gtcal.calibration import (
+    ERRORS_IN_VARIABLES,
     NAIVE,
     Calibration,
     CameraCalibration,
@@ -20,6 +21,7 @@ from gtcal.calibration import (
     StageReport,
 )
 from gtcal.errors import GtcalError
+from gtcal.errors_in_variables import adjust_with_mocap_noise
 from gtcal.estimate import Estimate
 from gtcal.files import InputFile
 from gtcal.motion import check_turning, turning
@@ -72,7 +74,7 @@ def calibrate_observations(
     _check_enough(views, options)
     _motion_warnings(views, options)
     estimate, reports = _align(views, options, progress)
-    adjusted, report = _adjust(views, estimate, options, progress)
+    adjusted, later = _adjust(observations, estimate, options, progress)
     sigmas = covariances(adjusted) if 3 in options.stages else None
     final = adjusted.estimate
     return Calibration(
@@ -81,8 +83,8 @@ def calibrate_observations(
         body_T_board=PoseEstimate(final.body_T_board, sigmas.body_T_board if sigmas else None),
         board=observations.board.to_manifest(),
         sigma_px=adjusted.sigma_px,
-        covariance_kind=NAIVE,
-        stages=(*earlier, *reports, *report),
+        covariance_kind=NAIVE if options.mocap is None else ERRORS_IN_VARIABLES,
+        stages=(*earlier, *reports, *later),
         dropped=observations.dropped + adjusted.screened.dropped(views),
         warnings=_warnings(adjusted, sigmas, options),
         provenance=provenance(options, inputs, time.perf_counter() - started),
@@ -175,15 +177,22 @@ def _align(
 
 
 def _adjust(
-    views: Mapping[str, Views], estimate: Estimate, options: CalibrationOptions, progress: Progress
+    observations: Observations, estimate: Estimate, options: CalibrationOptions, progress: Progress
 ) -> tuple[Adjusted, list[StageReport]]:
-    """Stage 3, where the options want it."""
+    """Stages 3 and 4, where the options want them."""
+    views = observations.views
     if 3 not in options.stages:
         return not_adjusted(views, estimate, options), []
     started = time.perf_counter()
     adjusted = adjust(views, estimate, options, progress)
-    report = _report(3, "pixels", started, adjusted.errors, "whitened, halved")
-    return adjusted, [replace(report, median_px=_median_px(views, adjusted.estimate))]
+    report = _report(3, "pixels", started, adjusted.errors, "px^2, halved")
+    reports = [replace(report, median_px=_median_px(views, adjusted.estimate))]
+    if options.mocap is None:
+        return adjusted, reports
+    started = time.perf_counter()
+    adjusted = adjust_with_mocap_noise(adjusted, observations.motion, options, progress)
+    report = _report(4, "mocap noise modelled", started, adjusted.errors, "whitened, halved")
+    return adjusted, [*reports, replace(report, median_px=_median_px(views, adjusted.estimate))]
 
 
 def _guides(views: Mapping[str, Views], options: CalibrationOptions, progress: Progress) -> dict[str, GuideViews]:
@@ -208,16 +217,18 @@ def _report(stage: int, name: str, started_s: float, errors: tuple[float, ...] =
 
 
 def _median_px(views: Mapping[str, Views], estimate: Estimate) -> float:
-    """Median over the views of all cameras of the median residual of their corners."""
+    """Median over the views of all cameras of the median residual of their corners; NaN where most of them have no
+    pixel under the estimate."""
     medians = [
         median_by_view(of_camera, norms(chain_residuals_px(of_camera, estimate))) for of_camera in views.values()
     ]
-    return float(np.median(np.concatenate(medians)))
+    median_px = float(np.median(np.concatenate(medians)))
+    return median_px if np.isfinite(median_px) else float("nan")
 
 
 def _check_agreement(views: Mapping[str, Views], estimate: Estimate) -> None:
     focal_px = float(np.mean([theta[0] for theta in estimate.theta.values()]))
-    angle_rad = np.arctan(_median_px(views, estimate) / focal_px)
+    angle_rad = np.arctan(np.nan_to_num(_median_px(views, estimate), nan=np.inf) / focal_px)
     if angle_rad > DISAGREEMENT_RAD:
         raise DisagreementError(float(np.rad2deg(angle_rad)))
 
@@ -225,9 +236,15 @@ def _check_agreement(views: Mapping[str, Views], estimate: Estimate) -> None:
 def _camera(views: Views, adjusted: Adjusted, sigmas: Covariances | None) -> CameraCalibration:
     name = views.camera.name
     used, estimate = adjusted.screened.views[name], adjusted.estimate
+    lengths_px = adjusted.screened.lengths_px[name]
+    if not np.isfinite(lengths_px).any():
+        raise GtcalError(
+            f"camera {name!r}: the solution puts none of its corners in the lens's field of view; "
+            "run all the stages, and look whether its views and the mocap belong together"
+        )
     return CameraCalibration(
         camera=replace(views.camera, parameters=estimate.theta[name]),
         camera_T_ref=PoseEstimate(estimate.camera_T_ref[name], sigmas.camera_T_ref[name] if sigmas else None),
         theta_covariance=sigmas.theta.get(name) if sigmas else None,
-        residuals=ResidualStatistics.of(adjusted.screened.lengths_px[name], used.n_views),
+        residuals=ResidualStatistics.of(lengths_px, used.n_views),
     )
