@@ -103,6 +103,7 @@ class Board(Protocol):
     def pitch_m(self) -> float:
         """From one tag of a grid, or one square, to the next."""
 
+    def __hash__(self) -> int: ...
     @property
     def n_corners(self) -> int: ...
     @property
@@ -397,9 +398,7 @@ class CharucoBoard(_BoardBase):
 
     @cached_property
     def corners_m(self) -> FloatArray:
-        row, column = np.divmod(
-            np.arange((self.square_columns - 1) * (self.square_rows - 1)), self.square_columns - 1
-        )
+        row, column = np.divmod(np.arange((self.square_columns - 1) * (self.square_rows - 1)), self.square_columns - 1)
         grid = np.stack([column + 1, self.square_rows - 1 - row, np.zeros(len(row))], axis=1)
         return grid * self.square_side_m
 
@@ -461,16 +460,12 @@ def board_from_manifest(block: object) -> Board:
 
     Raises GtcalError naming the field that is unknown, missing, of the wrong type or implausible."""
     if not isinstance(block, Mapping):
-        raise GtcalError(
-            f"'board' is {block!r}; expected fields, as 'preset: paper_a2' or 'type: aprilgrid' ..."
-        )
+        raise GtcalError(f"'board' is {block!r}; expected fields, as 'preset: paper_a2' or 'type: aprilgrid' ...")
     given = dict(block)
     if "preset" in given:
         return _preset(given)
     if "type" not in given:
-        raise GtcalError(
-            f"'board' has neither 'preset' ({_listed(PRESETS)}) nor 'type' ({_listed(BOARD_TYPES)})"
-        )
+        raise GtcalError(f"'board' has neither 'preset' ({_listed(PRESETS)}) nor 'type' ({_listed(BOARD_TYPES)})")
     type_name = given.pop("type")
     if type_name not in BOARD_TYPES:
         raise GtcalError(f"board type {type_name!r} is not known; types: {_listed(BOARD_TYPES)}")
@@ -544,8 +539,7 @@ def _check_side(board: Any, name: str) -> None:
         return
     hint = f"; {value:g} mm is {value / 1000:g} m" if value > _LARGEST_SIDE_M else ""
     raise GtcalError(
-        f"board field {name!r} is {value:g}; "
-        f"expected {_SMALLEST_SIDE_M:g} to {_LARGEST_SIDE_M:g} metres{hint}"
+        f"board field {name!r} is {value:g}; expected {_SMALLEST_SIDE_M:g} to {_LARGEST_SIDE_M:g} metres{hint}"
     )
 
 

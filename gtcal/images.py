@@ -123,9 +123,7 @@ def _is_cut_off(data: bytes) -> bool:
 
 def _images_in(folder: Path) -> list[Path]:
     return [
-        path
-        for path in folder.iterdir()
-        if path.suffix.lower() in IMAGE_SUFFIXES and not path.name.startswith(".")
+        path for path in folder.iterdir() if path.suffix.lower() in IMAGE_SUFFIXES and not path.name.startswith(".")
     ]
 
 
@@ -158,9 +156,7 @@ def _listed_rows(listing: Path) -> list[tuple[int, str]]:
             continue
         stamp, name = _listed_row(listing, number, line)
         if rows and stamp <= rows[-1][0]:
-            raise GtcalError(
-                f"{listing}:{number}: time stamp {stamp} ns is not after the one before, {rows[-1][0]}"
-            )
+            raise GtcalError(f"{listing}:{number}: time stamp {stamp} ns is not after the one before, {rows[-1][0]}")
         rows.append((stamp, name))
     if not rows:
         raise GtcalError(f"{listing}: lists no images; expected rows 'timestamp [ns],filename'")

@@ -20,6 +20,8 @@ _NEIGHBOURS, _FEWEST = 24, 4
 # Pulls the perspective terms towards none. Far below what four points a tag apart say, it only steadies the
 # extrapolation from one small tag.
 _RIDGE = 3e-3
+# Neighbours closer than this to one line, rms and in units of the spread, say nothing across it.
+_LEAST_SPREAD = 0.1
 
 
 @dataclass(frozen=True)
@@ -27,7 +29,7 @@ class LocalWarps:
     """M homographies from the board to a plane: ((t + A b) / (1 + g . b)), with b = (board point - centre) / spread.
 
     centres_m: (M, 2). spread_m: one length. terms: (M, 8) tx ty Axx Axy Ayx Ayy gx gy; NaN where there were too few
-    known points.
+    known points, or all on a line.
     """
 
     centres_m: FloatArray
@@ -63,9 +65,7 @@ def fit_local_warps(
     terms = np.full((len(centres_m), 8), np.nan)
     left_out = np.full(len(centres_m), -1) if leave_out is None else leave_out
     if len(board_m) >= _FEWEST:
-        _fit_all(
-            np.ascontiguousarray(board_m), np.ascontiguousarray(plane), centres_m, spread_m, left_out, terms
-        )
+        _fit_all(np.ascontiguousarray(board_m), np.ascontiguousarray(plane), centres_m, spread_m, left_out, terms)
     return LocalWarps(centres_m, spread_m, terms)
 
 
@@ -103,7 +103,7 @@ def _fit_one(board_m, plane, centre_m, spread_m, near, distance, terms):  # type
         _add(row, x, weight, normal, right)
         row[:] = (0.0, 1.0, 0.0, 0.0, bx, by, -y * bx, -y * by)
         _add(row, y, weight, normal, right)
-    if n < _FEWEST:
+    if n < _FEWEST or not _spans_a_plane(normal):
         return
     for i in range(8):
         normal[i, i] += 1e-9
@@ -115,6 +115,15 @@ def _fit_one(board_m, plane, centre_m, spread_m, near, distance, terms):  # type
     terms[2], terms[3] = origin_x * found[6] + size * found[2], origin_x * found[7] + size * found[3]
     terms[4], terms[5] = origin_y * found[6] + size * found[4], origin_y * found[7] + size * found[5]
     terms[6], terms[7] = found[6], found[7]
+
+
+@kernel
+def _spans_a_plane(normal):  # type: ignore[no-untyped-def]
+    """Whether the neighbours, whose weighted moments the normal matrix holds, don't all lie near one line."""
+    weight, x, y = normal[0, 0], normal[0, 2], normal[0, 3]
+    xx, xy, yy = normal[2, 2] - x * x / weight, normal[2, 3] - x * y / weight, normal[3, 3] - y * y / weight
+    trace, area = (xx + yy) / weight, (xx * yy - xy * xy) / weight**2
+    return area > _LEAST_SPREAD**2 * trace
 
 
 @kernel

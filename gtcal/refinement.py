@@ -85,13 +85,13 @@ def refine_corners(
 @kernel
 def _refine_all(image, guess_px, px_per_m, saddle, band_m, reach_m, found):  # type: ignore[no-untyped-def]
     window = np.empty((_MAX_PIXELS, 3))
-    q = np.empty(_N_ALL)
+    q, m_per_px = np.empty(_N_ALL), np.empty(2)
     for i in range(len(guess_px)):
         n_free = _N_SADDLE if saddle[i] else _N_ALL
-        if not _start(guess_px[i], px_per_m[i], q):
+        if not _start(guess_px[i], px_per_m[i], q, m_per_px):
             continue
         angle_x, angle_y = q[2], q[3]
-        misfit = _fit_in_moving_window(image, px_per_m[i], band_m, reach_m, n_free, window, q)
+        misfit = _fit_in_moving_window(image, m_per_px, band_m, reach_m, n_free, window, q)
         if math.isnan(misfit):
             continue
         found[i, 0], found[i, 1], found[i, 2] = q[0], q[1], q[7]
@@ -106,8 +106,9 @@ def _apart(angle, other):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _start(guess_px, px_per_m, q):  # type: ignore[no-untyped-def]
-    """The parameters before the fit: the place and the directions as predicted, levels still unknown."""
+def _start(guess_px, px_per_m, q, m_per_px):  # type: ignore[no-untyped-def]
+    """The parameters before the fit: the place and the directions as predicted, levels still unknown; and how many
+    metres of print a pixel's distance from either edge is."""
     a, b, c, d = px_per_m[0, 0], px_per_m[0, 1], px_per_m[1, 0], px_per_m[1, 1]
     area = a * d - b * c
     if not abs(area) > 1e-12:
@@ -115,20 +116,20 @@ def _start(guess_px, px_per_m, q):  # type: ignore[no-untyped-def]
     q[0], q[1] = guess_px[0], guess_px[1]
     # The normals of the board lines x = const and y = const are the rows of the inverse.
     q[2], q[3] = math.atan2(-b / area, d / area), math.atan2(a / area, -c / area)
+    m_per_px[0], m_per_px[1] = math.hypot(b, d) / abs(area), math.hypot(a, c) / abs(area)
     q[4] = q[5] = math.log(_START_BLUR_PX)
     q[6:] = 0.0
     return True
 
 
 @kernel
-def _fit_in_moving_window(image, px_per_m, band_m, reach_m, n_free, window, q):  # type: ignore[no-untyped-def]
-    """Fit, move the window to what was found and fit again. Returns the rms residual, NaN on failure."""
+def _fit_in_moving_window(image, m_per_px, band_m, reach_m, n_free, window, q):  # type: ignore[no-untyped-def]
+    """Fit, lay the window where the corner and its edges were found, and fit again. Returns the rms residual, NaN on
+    failure."""
     misfit = np.nan
     for _ in range(_ROUNDS):
         x, y = q[0], q[1]
-        # Keep clear of the neighbouring edges by as much as they are blurred.
-        keep_off_px = min(max(1.4 * math.exp(max(q[4], q[5])), 0.7), 1.5)
-        n = _collect(image, x, y, px_per_m, band_m, reach_m, keep_off_px, window)
+        n = _collect(image, q, m_per_px, band_m, reach_m, window)
         if n < 2 * n_free:
             return np.nan
         if math.isnan(misfit):
@@ -140,21 +141,20 @@ def _fit_in_moving_window(image, px_per_m, band_m, reach_m, n_free, window, q): 
 
 
 @kernel
-def _collect(image, x0, y0, px_per_m, band_m, reach_m, keep_off_px, window):  # type: ignore[no-untyped-def]
-    """Write (x, y, grey) of the pixels around (x0, y0) on the uniform quadrants and the edges between them."""
-    a, b, c, d = px_per_m[0, 0], px_per_m[0, 1], px_per_m[1, 0], px_per_m[1, 1]
-    area = a * d - b * c
-    along_x, along_y = math.hypot(d, b) / abs(area), math.hypot(c, a) / abs(area)  # metres per pixel of distance
-    band_x, band_y = _radius(band_m / along_x, keep_off_px), _radius(band_m / along_y, keep_off_px)
-    reach_x, reach_y = _radius(reach_m / along_x, keep_off_px), _radius(reach_m / along_y, keep_off_px)
+def _collect(image, q, m_per_px, band_m, reach_m, window):  # type: ignore[no-untyped-def]
+    """Write (x, y, grey) of the pixels on the uniform quadrants and the edges between them."""
+    # Keep clear of the neighbouring edges by as much as they are blurred.
+    keep_off_px = min(max(1.4 * math.exp(max(q[4], q[5])), 0.7), 1.5)
+    band_x, band_y = _radius(band_m / m_per_px[0], keep_off_px), _radius(band_m / m_per_px[1], keep_off_px)
+    reach_x, reach_y = _radius(reach_m / m_per_px[0], keep_off_px), _radius(reach_m / m_per_px[1], keep_off_px)
+    cos_x, sin_x, cos_y, sin_y = math.cos(q[2]), math.sin(q[2]), math.cos(q[3]), math.sin(q[3])
     height, width = image.shape
     r = MAX_RADIUS_PX
     n = 0
-    for y in range(max(math.ceil(y0 - r), 0), min(math.floor(y0 + r), height - 1) + 1):
-        for x in range(max(math.ceil(x0 - r), 0), min(math.floor(x0 + r), width - 1) + 1):
-            dx, dy = x - x0, y - y0
-            u = abs((d * dx - b * dy) / area) / along_x
-            v = abs((a * dy - c * dx) / area) / along_y
+    for y in range(max(math.ceil(q[1] - r), 0), min(math.floor(q[1] + r), height - 1) + 1):
+        for x in range(max(math.ceil(q[0] - r), 0), min(math.floor(q[0] + r), width - 1) + 1):
+            dx, dy = x - q[0], y - q[1]
+            u, v = abs(cos_x * dx + sin_x * dy), abs(cos_y * dx + sin_y * dy)
             inside = u <= reach_x and v <= reach_y and (u <= band_x or v <= band_y)
             if inside and dx * dx + dy * dy <= r * r:
                 window[n, 0], window[n, 1], window[n, 2] = x, y, image[y, x]

@@ -8,6 +8,7 @@ from typing import Protocol
 import numpy as np
 
 from gtcal.camera import Camera, FloatArray
+from gtcal.lens_guess import guess_lens
 
 # A bearing further than 87 degrees from the virtual camera's axis has no use in its image plane.
 _LEAST_COSINE = 0.05
@@ -52,16 +53,23 @@ class BearingSight:
         return self.camera.project(in_virtual @ self.virtual_R_camera)[0]
 
 
-def sight_of(camera: Camera | None, seen_px: FloatArray) -> Sight:
-    """The plane to compare corners in: facing the pixels ``seen_px`` (N, 2) where the intrinsics are known, else the
-    image."""
-    if camera is None or camera.parameters is None:
-        return PixelSight()
+def sight_of(camera: Camera | None, image_shape: tuple[int, int], board_m: FloatArray, seen_px: FloatArray) -> Sight:
+    """The plane to compare corners in, for known points (N, 2) of the board and their pixels (N, 2). Where the
+    intrinsics are unknown, the lens is guessed."""
+    if camera is not None and camera.parameters is not None:
+        return _facing(camera, seen_px) or PixelSight()
+    guess = guess_lens(image_shape, board_m, seen_px)
+    return (_facing(guess, seen_px) if guess is not None else None) or PixelSight()
+
+
+def _facing(camera: Camera, seen_px: FloatArray) -> BearingSight | None:
+    """The virtual camera that looks at the pixels, None where not all of them can be in its image."""
     bearings, valid = camera.unproject(seen_px)
-    if not valid.any():
-        return PixelSight()
-    axis = bearings[valid].mean(axis=0)
-    return BearingSight(camera, _rotation_to_z(axis / np.linalg.norm(axis)))
+    if not valid.all():
+        return None
+    axis = bearings.mean(axis=0)
+    sight = BearingSight(camera, _rotation_to_z(axis / np.linalg.norm(axis)))
+    return sight if np.isfinite(sight.to_plane(seen_px)).all() else None
 
 
 def pixels_and_derivative(

@@ -14,15 +14,15 @@ from gtcal.detections import IntArray
 from gtcal.images import GreyImage
 
 # Threshold in grey levels and enlargement of each try, in order; on most views the first one reads enough tags.
-_PASSES = ((25, 1), (7, 1), (15, 2))
+_PASSES = ((25, 1), (7, 1), (3, 1), (15, 2), (3, 2))
 _ENOUGH_TAGS = 4
 # Two tags disagree when one lies further from where the other says than this part of their distance.
 _TOLERANCE = 0.2
 _SMALLEST_SIDE_PX = 4.0
-# A code can be read where a module is this wide, and it is the right one at this correlation. On views of the
-# board right codes reach 0.6 and more, wrong ones 0.4 at most.
-READABLE_MODULE_PX = 1.6
-_READ_CORRELATION = 0.5
+# From this width of a module on a code can be looked at. On rendered and real views the right code correlates with
+# 0.55 or more (0.9 and more where it is sharp), another one with 0.5 or less in 99 of 100 cases.
+READABLE_MODULE_PX = 1.4
+READ_CORRELATION, ABSENT_CORRELATION = 0.6, 0.45
 
 
 @dataclass(frozen=True)
@@ -43,18 +43,19 @@ class FoundTags:
         return FoundTags(self.tags[rows], self.corners_px[rows])
 
 
-def find_tags(image: GreyImage, board: Board) -> FoundTags:
-    """The tags of the board that OpenCV reads in an image and that agree with one another (``agreeing_tags``).
+def find_tags(image: GreyImage, board: Board) -> tuple[FoundTags, int]:
+    """The tags of the board that OpenCV reads in an image and that agree with one another (``agreeing_tags``), and
+    how many it reads at most, agreeing or not.
 
     Thresholding ties a tag to its neighbours where the print is faint, blurred or small, so the image is tried with
     several thresholds, and enlarged, until enough tags are read."""
-    best = FoundTags(np.empty(0, dtype=np.int64), np.empty((0, 4, 2)))
+    best, most = FoundTags(np.empty(0, dtype=np.int64), np.empty((0, 4, 2))), 0
     for threshold, scale in _PASSES:
-        found = agreeing_tags(read_tags(image, board, threshold=threshold, scale=scale), board)
-        best = max(best, found, key=len)
+        found = read_tags(image, board, threshold=threshold, scale=scale)
+        best, most = max(best, agreeing_tags(found, board), key=len), max(most, len(found))
         if len(best) >= min(_ENOUGH_TAGS, len(board.tag_ids)):
             break
-    return best
+    return best, most
 
 
 def read_tags(image: GreyImage, board: Board, *, threshold: int, scale: int) -> FoundTags:
@@ -135,11 +136,7 @@ def module_centres_m(board: Board, tags: IntArray) -> FloatArray:
     middle = (np.arange(board.border_modules, n - board.border_modules) + 0.5) / n
     right, down = (grid.ravel()[None, :, None] for grid in np.meshgrid(middle, middle))
     upper_left, upper_right, _, lower_left = np.moveaxis(board.tag_corners_m[tags, :, :2], 1, 0)
-    return (
-        upper_left[:, None]
-        + right * (upper_right - upper_left)[:, None]
-        + down * (lower_left - upper_left)[:, None]
-    )
+    return upper_left[:, None] + right * (upper_right - upper_left)[:, None] + down * (lower_left - upper_left)[:, None]
 
 
 def read_codes(image: GreyImage, board: Board, tags: IntArray, centres_px: FloatArray) -> FloatArray:
@@ -166,8 +163,3 @@ def _correlations(grey: FloatArray, codes: BoolArray) -> FloatArray:
     b = codes - codes.mean(axis=1, keepdims=True)
     scale = np.sqrt((a * a).sum(axis=1) * (b * b).sum(axis=1))
     return (a * b).sum(axis=1) / np.maximum(scale, 1e-9)
-
-
-def is_read(correlation: FloatArray) -> BoolArray:
-    """Whether the code at this correlation (see ``read_codes``) is the expected one."""
-    return correlation >= _READ_CORRELATION
