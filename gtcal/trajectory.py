@@ -104,6 +104,12 @@ class Trajectory:
         poses[gaps != Gap.NONE] = np.nan
         return PosesAt(poses, gaps)
 
+    def interpolated_variance(self, stamps_ns: IntArray) -> FloatArray:
+        """Noise variance (N,) of an interpolated pose as a share of one sample's, for independent samples: 1 at a
+        sample, 1/2 midway."""
+        _, fraction = self._locate(stamps_ns)
+        return (1.0 - fraction) ** 2 + fraction**2
+
     def twist_per_s(self, stamps_ns: IntArray) -> FloatArray:
         """The body's velocity (N, 6) at ``stamps_ns`` (N,), the time derivative of ``interpolate``:
         world_T_body(t + dt) = world_T_body(t) * Exp(twist_per_s dt). Rotation first (rad/s, then m/s), in the body

@@ -9,6 +9,7 @@ import tyro
 
 if TYPE_CHECKING:
     from factors import RobustKernel
+    from gtcal.options import MocapSigmas
 
 KernelName = Literal[
     "Null",
@@ -39,6 +40,8 @@ def calibrate(
     kernel: KernelName = "Null",
     kernel_parameter: float | None = None,
     sigma_px: float | None = None,
+    mocap_sigma_mm: float | None = None,
+    mocap_sigma_deg: float | None = None,
     stages: tuple[int, ...] = (1, 2, 3),
     eps: float = 1e-4,
     max_iterations: int = 100,
@@ -71,6 +74,10 @@ def calibrate(
         kernel: Robust kernel of stage 3, by its name in gtsam.noiseModel.mEstimator, on each corner's whitened norm.
         kernel_parameter: Its parameter in sigmas; by default the kernel's usual one.
         sigma_px: Standard deviation of a corner's coordinate; by default estimated from the residuals.
+        mocap_sigma_mm: 1-sigma of a tracked body's position along each axis, if you know it (0.05 to 0.3 is common).
+            With the next one it adds stage 4, which models the mocap's noise: a more accurate estimate, and a
+            covariance that is true where these sigmas are.
+        mocap_sigma_deg: 1-sigma of a tracked body's orientation about each axis (0.005 to 0.05 is common).
         stages: Stages to run, of 1 (Procrustes sweep), 2 (3-D alignment), 3 (pixels).
         eps: A minimisation stops where an iteration improves the error E by less than eps (1 + E).
         max_iterations: Most iterations of one minimisation.
@@ -102,6 +109,7 @@ def calibrate(
         distortion_sigma=distortion_sigma,
         robust=_kernel(kernel, kernel_parameter),
         sigma_px=sigma_px,
+        mocap=_mocap(mocap_sigma_mm, mocap_sigma_deg),
         stages=stages,
         eps=eps,
         max_iterations=max_iterations,
@@ -118,6 +126,17 @@ def calibrate(
         notes = [note for images in loaded.images.values() for note in images.notes]
         print_calibration(calibration, notes=notes, verbose=verbose)
         print(f"written: {output}")
+
+
+def _mocap(sigma_mm: float | None, sigma_deg: float | None) -> MocapSigmas | None:
+    from gtcal.errors import GtcalError
+    from gtcal.options import MocapSigmas
+
+    if sigma_mm is None and sigma_deg is None:
+        return None
+    if sigma_mm is None or sigma_deg is None:
+        raise GtcalError("--mocap-sigma-mm and --mocap-sigma-deg go together: give both, or neither")
+    return MocapSigmas(sigma_mm, sigma_deg)
 
 
 def _kernel(name: str, parameter: float | None) -> RobustKernel:

@@ -32,21 +32,20 @@ def demo(
     from gtcal.calibration_file import write_calibration
     from gtcal.cli.progress import shown_progress
     from gtcal.cli.tables import print_calibration, print_errors
+    from gtcal.options import CalibrationOptions, MocapSigmas
     from gtcal.recording import load_recording
     from gtcal.simulation import MocapNoise, SimulationOptions, quest3_like_rig, simulate, write_simulation
     from gtcal.workflow import calibrate
 
     _clear_earlier_demo(output)
-    options = SimulationOptions(
-        rig=quest3_like_rig().scaled(image_scale),
-        n_frames=frames,
-        mocap=MocapNoise(translation_mm=0.05, rotation_deg=0.005),
-    )
+    noise = MocapNoise(translation_mm=0.05, rotation_deg=0.005)
+    options = SimulationOptions(rig=quest3_like_rig().scaled(image_scale), n_frames=frames, mocap=noise)
     simulation = simulate(options, seed=seed)
     with shown_progress(quiet) as progress:
         manifest = write_simulation(simulation, output, images=True, progress=progress)
         (output / _MARK).touch()
-        calibration = calibrate(load_recording(manifest), progress=progress)
+        known = CalibrationOptions(mocap=MocapSigmas(noise.translation_mm, noise.rotation_deg))
+        calibration = calibrate(load_recording(manifest), known, progress=progress)
     write_calibration(output / "calibration.json", calibration)
     if not quiet:
         print_calibration(calibration, verbose=True)

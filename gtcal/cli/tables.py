@@ -11,10 +11,15 @@ from rich.table import Table
 from rich.text import Text
 
 from factors.rigid import inverse
-from gtcal.calibration import Calibration, StageReport, pose_difference
+from gtcal.calibration import ERRORS_IN_VARIABLES, NAIVE, Calibration, StageReport, pose_difference
 from gtcal.camera import FloatArray
 from gtcal.recording import Recording
 from gtcal.simulation import GroundTruth
+
+_COVARIANCES = {
+    NAIVE: "of pixel noise alone, with the mocap taken as exact (too small where the mocap is noisy)",
+    ERRORS_IN_VARIABLES: "of pixel noise and the mocap noise given",
+}
 
 
 def print_calibration(calibration: Calibration, *, notes: Sequence[str] = (), verbose: bool = False) -> None:
@@ -31,8 +36,7 @@ def camera_table(calibration: Calibration) -> Table:
     """A row per camera: how well it fits, from how much, where it is and how sure that is."""
     table = Table(
         box=box.SIMPLE_HEAD,
-        caption=f"residuals in px over the corners used; 1-sigma by the {calibration.covariance_kind} covariance "
-        "(takes the mocap as exact)",
+        caption=f"residuals in px over the corners used; 1-sigma: {_COVARIANCES[calibration.covariance_kind]}",
         caption_justify="left",
     )
     table.add_column("camera")

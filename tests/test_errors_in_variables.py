@@ -1,0 +1,101 @@
+"""Stage 4: its prior against simulated noise, its estimate and its covariance against the truth."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import gtsam
+import numpy as np
+import pytest
+
+from factors.rigid import inverse
+from gtcal import CalibrationOptions, GtcalError, calibrate_observations, synchronise
+from gtcal.calibration import ERRORS_IN_VARIABLES, NAIVE, PoseEstimate, pose_difference
+from gtcal.capture import Capture
+from gtcal.errors_in_variables import ref_T_body_covariance
+from gtcal.options import MocapSigmas
+from gtcal.simulation import MocapNoise, SimulationOptions, simulate
+
+SIGMAS = MocapSigmas(translation_mm=0.2, rotation_deg=0.02)
+
+
+def simulation(seed: int, capture: Capture = Capture.TRACKED_PLATFORM, n_frames: int = 60):
+    noise = MocapNoise(translation_mm=SIGMAS.translation_mm, rotation_deg=SIGMAS.rotation_deg)
+    return simulate(SimulationOptions(capture=capture, n_frames=n_frames, mocap=noise), seed=seed)
+
+
+def nees_per_dof(estimate: PoseEstimate, truth: np.ndarray) -> float:
+    xi = gtsam.Pose3.Logmap(gtsam.Pose3(inverse(estimate.a_T_b) @ truth))
+    return float(xi @ np.linalg.solve(estimate.covariance, xi) / 6)
+
+
+@pytest.mark.parametrize("capture", list(Capture))
+def test_the_prior_has_the_covariance_of_the_composed_and_interpolated_noise(capture):
+    rng = np.random.default_rng(0)
+    motion = simulation(0, capture, n_frames=1).recording.motion
+    samples_ns = next(iter(motion.trajectories.values())).stamps_ns
+    stamps_ns = samples_ns[100:103] + np.array([0, 2_000_000, 4_100_000])
+    sigmas = np.repeat([np.deg2rad(SIGMAS.rotation_deg), 1e-3 * SIGMAS.translation_mm], 3)
+
+    def noisy(trajectory):
+        near = np.flatnonzero(np.abs(trajectory.stamps_ns - stamps_ns[1]) < 50_000_000)
+        poses = trajectory.world_T_body[near].copy()
+        for pose, xi in zip(poses, sigmas * rng.standard_normal((len(near), 6)), strict=True):
+            pose[:] = pose @ gtsam.Pose3.Expmap(xi).matrix()
+        return replace(trajectory, stamps_ns=trajectory.stamps_ns[near], world_T_body=poses)
+
+    exact = motion.at(stamps_ns).ref_T_body
+    samples = []
+    for _ in range(3000):
+        drawn = replace(motion, **{name: noisy(body) for name, body in motion.trajectories.items()})
+        error = inverse(exact) @ drawn.at(stamps_ns).ref_T_body
+        samples.append([gtsam.Pose3.Logmap(gtsam.Pose3(pose)) for pose in error])
+    found = np.einsum("snj,snk->njk", samples, samples) / len(samples)
+    expected = ref_T_body_covariance(motion, stamps_ns, SIGMAS)
+    scale = np.sqrt(np.einsum("njj->nj", expected))
+    assert np.abs((found - expected) / (scale[:, :, None] * scale[:, None, :])).max() < 0.12
+
+
+def test_it_is_more_accurate_than_stage_3_and_its_covariance_is_true():
+    plain_mm, found_mm, nees, naive = [], [], [], []
+    for seed in range(12):
+        simulated = simulation(seed)
+        observations = synchronise(simulated.recording)
+        plain = calibrate_observations(observations)
+        found = calibrate_observations(observations, CalibrationOptions(mocap=SIGMAS))
+        assert (plain.covariance_kind, found.covariance_kind) == (NAIVE, ERRORS_IN_VARIABLES)
+        for name, truth in simulated.truth.camera_T_ref.items():
+            for calibration, errors in ((plain, plain_mm), (found, found_mm)):
+                pose = calibration.cameras[name].camera_T_ref.a_T_b
+                errors.append(pose_difference(inverse(pose), inverse(truth))[0])
+            nees.append(nees_per_dof(found.cameras[name].camera_T_ref, truth))
+            naive.append(nees_per_dof(plain.cameras[name].camera_T_ref, truth))
+        nees.append(nees_per_dof(found.body_T_board, simulated.truth.body_T_board))
+    assert np.mean(found_mm) < 0.6 * np.mean(plain_mm)
+    assert 0.75 < np.mean(nees) < 1.25  # the cameras of a recording err together: about 12 * 12 independent numbers
+    assert np.mean(naive) > 10
+
+
+def test_its_pixel_noise_is_that_of_the_pixels_alone():
+    observations = synchronise(simulation(1).recording)
+    assert calibrate_observations(observations).sigma_px > 0.2
+    assert calibrate_observations(observations, CalibrationOptions(mocap=SIGMAS)).sigma_px == pytest.approx(
+        0.1, rel=0.03
+    )
+
+
+def test_intrinsics_may_be_free_too():
+    simulated = simulation(2)
+    options = CalibrationOptions(mocap=SIGMAS, intrinsics="refine")
+    found = calibrate_observations(synchronise(simulated.recording), options)
+    for name, truth in simulated.truth.intrinsics.items():
+        camera = found.cameras[name]
+        sigmas = np.sqrt(np.diag(camera.theta_covariance))
+        assert (np.abs(camera.camera.theta - truth) < 5 * sigmas).all()
+
+
+def test_bad_choices_are_refused():
+    with pytest.raises(GtcalError, match=r"translation_mm: 0\.0 is not a positive number"):
+        MocapSigmas(translation_mm=0.0, rotation_deg=0.01)
+    with pytest.raises(GtcalError, match="stages leave it out"):
+        CalibrationOptions(mocap=SIGMAS, stages=(1, 2))
