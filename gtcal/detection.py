@@ -83,9 +83,10 @@ def cached_detect(
     *,
     progress: Progress = silent,
     workers: int | None = None,
+    redo: bool = False,
 ) -> CameraDetections:
     """As ``detect``, but what was found is kept in ``.gtcal`` in the recording's folder and taken from there as long
-    as the image files (names, sizes, times of change), the board, the intrinsics and the detector are the same.
+    as the image files (names, sizes, times of change), the board, the intrinsics and the detector are the same; with ``redo``, it is not taken but made anew.
 
     A cache that can't be read is made anew. Where the folder can't be written, the corners are returned all the same
     and a warning of the logger "gtcal" says so.
@@ -94,7 +95,7 @@ def cached_detect(
     key = _cache_key(images, board, camera)
     safe_name = re.sub(r"[^\w.-]", "_", camera_name)
     path = recording_dir / CACHE_FOLDER / f"detections_{safe_name}_{key[:16]}.npz"
-    cached = _read_cache(path)
+    cached = None if redo else _read_cache(path)
     if cached is not None:
         progress(f"detecting the board in {camera_name} (kept from before)", len(images), len(images))
         return cached
