@@ -51,6 +51,8 @@ def solve_pnp(views: Views, *, max_views: int) -> PnpViews:
     chosen = _choose(np.diff(views.view_start), max_views)
     subset = select_views(views, chosen)
     solved, poses = _ippe(subset)
+    if not solved.any():
+        return PnpViews(chosen[:0], np.empty((0, 2, 4, 4)), np.empty((0, 2)))
     subset, chosen = select_views(subset, np.flatnonzero(solved)), chosen[solved]
     corners = corner_views(subset)
     refined = [_refine(corners, subset.camera, poses[:, i]) for i in range(2)]
@@ -141,8 +143,6 @@ class _Refined:
 
 def _refine(corners: CornerViews, camera: Camera, camera_T_board: FloatArray) -> _Refined:
     """Levenberg-Marquardt on the pixels of each view by itself, all views at once."""
-    if len(camera_T_board) == 0:
-        return _Refined(camera_T_board, np.empty(0))
     damping = np.full(len(camera_T_board), 1e-4)
     now = view_moments(corners, camera_T_board, camera.model, camera.theta, robust=_REFINEMENT)
     for _ in range(_REFINEMENT_STEPS):
