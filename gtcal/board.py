@@ -11,6 +11,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import MISSING, Field, asdict, dataclass, fields
 from functools import cached_property, lru_cache
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Protocol, get_type_hints, runtime_checkable
 
 import cv2
@@ -245,7 +246,7 @@ class TagGrid(_BoardBase):
         return f"tag {self.first_tag_id + corner_id // 4} corner {corner_id % 4}"
 
     def to_manifest(self) -> dict[str, Any]:
-        return {"type": _type_name(type(self)), **asdict(self)}  # type: ignore[call-overload]
+        return _manifest_block(self)
 
     def _check(self) -> None:
         _check_count(self, "tag_columns", 1)
@@ -451,7 +452,7 @@ class CharucoBoard(_BoardBase):
         )
 
     def to_manifest(self) -> dict[str, Any]:
-        return {"type": _type_name(type(self)), **asdict(self)}
+        return _manifest_block(self)
 
 
 def board_from_manifest(block: object) -> Board:
@@ -471,6 +472,26 @@ def board_from_manifest(block: object) -> Board:
         raise GtcalError(f"board type {type_name!r} is not known; types: {_listed(BOARD_TYPES)}")
     board_type = BOARD_TYPES[type_name]
     return board_type(**_checked_fields(type_name, board_type, given))
+
+
+def load_board(name: str) -> Board:
+    """The board of a preset's name, or of a YAML file: a board block by itself, or in a manifest.
+
+    Raises GtcalError where ``name`` is neither, or the block is wrong."""
+    import yaml
+
+    if name in PRESETS:
+        return PRESETS[name]
+    try:
+        block = yaml.safe_load(Path(name).read_text(encoding="utf-8"))
+    except OSError as error:
+        raise GtcalError(f"board {name!r} is no preset ({_listed(PRESETS)}) and no file: {error.strerror}") from error
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise GtcalError(f"{name}: is not valid YAML: {' '.join(str(error).split())}") from error
+    try:
+        return board_from_manifest(block["board"] if isinstance(block, dict) and "board" in block else block)
+    except GtcalError as error:
+        raise GtcalError(f"{name}: {error}") from error
 
 
 def board_manifest_schema() -> dict[str, Any]:
@@ -591,8 +612,9 @@ def _tag_rectangles(modules: BoolArray, lower_left_m: FloatArray, module_m: floa
     return np.array(rectangles) * module_m + np.tile(lower_left_m, 2)
 
 
-def _type_name(board_type: type) -> str:
-    return next(name for name, known in BOARD_TYPES.items() if known is board_type)
+def _manifest_block(board: Any) -> dict[str, Any]:
+    type_name = next(name for name, known in BOARD_TYPES.items() if known is type(board))
+    return {"type": type_name, **asdict(board)}
 
 
 def _listed(names: Any) -> str:

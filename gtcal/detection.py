@@ -10,6 +10,7 @@ import re
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import contextmanager
+from functools import lru_cache
 from pathlib import Path
 from threading import Lock
 from typing import Any
@@ -27,9 +28,9 @@ from gtcal.progress import Progress, silent
 from gtcal.view_detection import SeenBoard, see_board
 from gtcal.view_detection import detect_view as detect_view
 
-DETECTOR_VERSION = 1
-"""To be raised whenever the detector finds other corners than before, so that no older cache is taken for them."""
 CACHE_FOLDER = ".gtcal"
+# The modules that decide what is found: a cache made by another version of one of them isn't taken.
+_DETECTOR = ("board", "lens_guess", "local_warp", "refinement", "sight", "tags", "view_detection")
 
 _log = logging.getLogger("gtcal")
 _opencv_threads = Lock()
@@ -86,10 +87,10 @@ def cached_detect(
     redo: bool = False,
 ) -> CameraDetections:
     """As ``detect``, but what was found is kept in ``.gtcal`` in the recording's folder and taken from there as long
-    as the image files (names, sizes, times of change), the board, the intrinsics and the detector are the same; with ``redo``, it is not taken but made anew.
+    as the image files (names, sizes, times of change), the board, the intrinsics and the detector are the same.
 
-    A cache that can't be read is made anew. Where the folder can't be written, the corners are returned all the same
-    and a warning of the logger "gtcal" says so.
+    redo: detect again all the same. A cache that can't be read is made anew, too. Where the folder can't be written,
+    the corners are returned all the same, and a warning of the logger "gtcal" says so.
 
     Raises GtcalError where an image can't be read or isn't of the camera's size."""
     key = _cache_key(images, board, camera)
@@ -150,7 +151,7 @@ def _cache_key(images: ImageSequence, board: Board, camera: Camera | None) -> st
         lens = [camera.model.name, camera.image_width_px, camera.image_height_px]
         lens.append(None if camera.parameters is None else camera.parameters.tolist())
     everything = {
-        "detector": DETECTOR_VERSION,
+        "detector": _detector_version(),
         "opencv": cv2.__version__,
         "board": board.to_manifest(),
         "lens": lens,
@@ -158,6 +159,12 @@ def _cache_key(images: ImageSequence, board: Board, camera: Camera | None) -> st
         "files": files,
     }
     return hashlib.sha256(json.dumps(everything, sort_keys=True).encode()).hexdigest()
+
+
+@lru_cache(maxsize=1)
+def _detector_version() -> str:
+    sources = (Path(__file__).with_name(f"{module}.py").read_bytes() for module in _DETECTOR)
+    return hashlib.sha256(b"\0".join(sources)).hexdigest()
 
 
 def _size_and_time(path: Path) -> tuple[int, int]:
