@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 import tyro
-
-if TYPE_CHECKING:
-    from gtcal.board import Board
 
 RigName = Literal["headset", "fixed"]
 CaptureName = Literal["tracked_platform", "standing_board", "fixed_cameras"]
@@ -78,6 +75,7 @@ def simulate(
         intrinsics: What the recording says about the lenses: the truth, wrong values, or nothing.
         quiet: Show no progress and print nothing.
     """
+    from gtcal.board import load_board
     from gtcal.capture import Capture
     from gtcal.cli.progress import shown_progress
     from gtcal.simulation import (
@@ -94,7 +92,7 @@ def simulate(
     usual = Capture.TRACKED_PLATFORM if rig == "headset" else Capture.FIXED_CAMERAS
     options = SimulationOptions(
         rig=cameras if image_scale == 1.0 else cameras.scaled(image_scale),
-        board=_board(board),
+        board=load_board(board),
         capture=usual if capture is None else Capture(capture),
         motion=motion,
         duration_s=duration_s,
@@ -110,28 +108,3 @@ def simulate(
         manifest = write_simulation(run(options, seed=seed), output, images=images, progress=progress)
     if not quiet:
         print(f"{manifest}: {frames} frames of {len(cameras.cameras)} cameras; the truth is in ground_truth.json")
-
-
-def _board(name: str) -> Board:
-    """A preset, or the board of a YAML file: a board block by itself, or in a manifest.
-
-    Raises GtcalError where it is neither."""
-    import yaml
-
-    from gtcal.board import PRESETS, board_from_manifest
-    from gtcal.errors import GtcalError
-
-    if name in PRESETS:
-        return PRESETS[name]
-    try:
-        block = yaml.safe_load(Path(name).read_text(encoding="utf-8"))
-    except OSError as error:
-        presets = ", ".join(PRESETS)
-        raise GtcalError(f"board {name!r} is no preset ({presets}) and no file: {error.strerror}") from error
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise GtcalError(f"{name}: is not valid YAML: {' '.join(str(error).split())}") from error
-    inner = block["board"] if isinstance(block, dict) and "board" in block else block
-    try:
-        return board_from_manifest(inner)
-    except GtcalError as error:
-        raise GtcalError(f"{name}: {error}") from error
