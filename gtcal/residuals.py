@@ -48,9 +48,10 @@ def _median_by_group(values: FloatArray, start: IntArray, medians: FloatArray) -
 
 
 def median_by_view(views: Views, values: FloatArray) -> FloatArray:
-    """Median (V,) of the values (N,) of each view's corners. Every view needs a corner."""
+    """Median (V,) of the values (N,) of each view's corners, where NaN, as of a corner without a pixel, ranks above all
+    numbers. Every view needs a corner."""
     medians = np.empty(views.n_views)
-    _median_by_group(np.ascontiguousarray(values), views.view_start, medians)
+    _median_by_group(np.where(np.isnan(values), np.inf, values), views.view_start, medians)
     return medians
 
 

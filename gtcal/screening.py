@@ -98,8 +98,7 @@ def _masks(views: Views, residuals_px: FloatArray, lengths_px: FloatArray) -> tu
     """Which views (V,) and corners (N,) stay. A corner without a pixel (NaN) counts as infinitely far off."""
     of_view = median_by_view(views, lengths_px)
     keep_view = of_view <= max(VIEW_GATE * float(np.median(of_view)), FLOOR_PX)
-    ranked = np.where(np.isnan(residuals_px), np.inf, residuals_px)  # a median of NaN would take the whole view along
-    shift = np.stack([median_by_view(views, ranked[:, axis]) for axis in range(2)], axis=1)
+    shift = np.stack([median_by_view(views, residuals_px[:, axis]) for axis in range(2)], axis=1)
     from_view = norms(residuals_px - np.repeat(shift, np.diff(views.view_start), axis=0))
     in_kept_view = np.repeat(keep_view, np.diff(views.view_start))
     usual = float(np.median(from_view[in_kept_view]))
