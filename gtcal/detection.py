@@ -24,6 +24,8 @@ from gtcal.detections import CameraDetections
 from gtcal.errors import GtcalError
 from gtcal.files import write_aside
 from gtcal.images import ImageSequence
+from gtcal.lollypop import Lollypop
+from gtcal.lollypop_detection import see_lollypop
 from gtcal.progress import Progress, silent
 from gtcal.view_detection import SeenBoard, see_board
 from gtcal.view_detection import detect_view as detect_view
@@ -38,13 +40,14 @@ _opencv_threads = Lock()
 
 def detect(
     images: ImageSequence,
-    board: Board,
+    board: Board | Lollypop,
     camera: Camera | None = None,
     *,
     progress: Progress = silent,
     workers: int | None = None,
 ) -> CameraDetections:
-    """Find the board in every image, as ``detect_view`` does, on ``workers`` threads (default: one per core).
+    """Find the board in every image, as ``detect_view`` does, or a Lollypop, on ``workers`` threads (default: one per
+    core).
 
     camera: where it has parameters, they help to predict corners. Views where the board isn't recognised are left
     out; where that is all of them, a warning of the logger "gtcal" says what was seen instead.
@@ -79,7 +82,7 @@ def cached_detect(
     recording_dir: Path,
     camera_name: str,
     images: ImageSequence,
-    board: Board,
+    board: Board | Lollypop,
     camera: Camera | None = None,
     *,
     progress: Progress = silent,
@@ -108,7 +111,9 @@ def cached_detect(
     return found
 
 
-def _see(images: ImageSequence, index: int, board: Board, camera: Camera | None) -> SeenBoard:
+def _see(images: ImageSequence, index: int, board: Board | Lollypop, camera: Camera | None) -> SeenBoard:
+    if isinstance(board, Lollypop):
+        return see_lollypop(images.read(index), board)
     return see_board(images.read(index), board, camera)
 
 
@@ -128,7 +133,7 @@ def _one_opencv_thread() -> Iterator[None]:
             cv2.setNumThreads(before)
 
 
-def _why_none(name: str, board: Board, n_tags: list[int]) -> str:
+def _why_none(name: str, board: Board | Lollypop, n_tags: list[int]) -> str:
     """What to say where no image shows the board. n_tags: how many of its tags were read in each image."""
     # One or two of small codes are read by chance in any picture.
     some = sum(n >= min(3, len(board.tag_ids)) for n in n_tags)
@@ -143,7 +148,7 @@ def _why_none(name: str, board: Board, n_tags: list[int]) -> str:
     )
 
 
-def _cache_key(images: ImageSequence, board: Board, camera: Camera | None) -> str:
+def _cache_key(images: ImageSequence, board: Board | Lollypop, camera: Camera | None) -> str:
     """A fingerprint of all that the corners depend on."""
     files = [(str(path.name), *_size_and_time(path)) for path in images.paths]
     lens: Any = None

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from gtcal.board import Board, TagGrid
+from gtcal.board import TagGrid
 from gtcal.camera import Camera, FloatArray
-from gtcal.detections import CameraDetections, IntArray
+from gtcal.detections import CameraDetections, Cornered, IntArray
 from gtcal.errors import GtcalError
 from gtcal.files import write_aside
 from gtcal.text_table import Kind, TextTable, open_table
@@ -22,7 +22,7 @@ _ROWS_PER_WRITE = 100_000
 _SAME_CORNER_M = 1e-4
 
 
-def read_detections(path: Path, board: Board, camera: Camera) -> CameraDetections:
+def read_detections(path: Path, board: Cornered, camera: Camera) -> CameraDetections:
     """Read the detections of one camera from a CSV, or from all the CSVs of a folder. The header of each tells its
     kind:
 
@@ -68,10 +68,10 @@ class _Layout:
 
     columns: tuple[tuple[str, Kind], ...]
     pixel: tuple[str, str]
-    corner_ids: Callable[[TextTable, npt.NDArray, Board], IntArray]
+    corner_ids: Callable[[TextTable, npt.NDArray, Cornered], IntArray]
 
 
-def _corner_ids_as_given(table: TextTable, rows: npt.NDArray, board: Board) -> IntArray:
+def _corner_ids_as_given(table: TextTable, rows: npt.NDArray, board: Cornered) -> IntArray:
     ids = rows["corner_id"]
     bad = np.flatnonzero((ids < 0) | (ids >= board.n_corners))
     if len(bad):
@@ -82,7 +82,7 @@ def _corner_ids_as_given(table: TextTable, rows: npt.NDArray, board: Board) -> I
     return ids
 
 
-def _corner_ids_by_tag(table: TextTable, rows: npt.NDArray, board: Board) -> IntArray:
+def _corner_ids_by_tag(table: TextTable, rows: npt.NDArray, board: Cornered) -> IntArray:
     if not isinstance(board, TagGrid):
         raise GtcalError(
             f"{table.path}: the file names corners by tag, but the board is no grid of tags ({board.describe()}); "
@@ -104,7 +104,7 @@ def _corner_ids_by_tag(table: TextTable, rows: npt.NDArray, board: Board) -> Int
     return 4 * index + corner
 
 
-def _corner_ids_of_aprilgrid(table: TextTable, rows: npt.NDArray, board: Board) -> IntArray:
+def _corner_ids_of_aprilgrid(table: TextTable, rows: npt.NDArray, board: Cornered) -> IntArray:
     ids = _corner_ids_by_tag(table, rows, board)
     in_file_m = np.stack([rows[f"p_{axis}"] for axis in "xyz"], axis=1)
     apart_m = np.abs(in_file_m - board.corners_m[ids]).max(axis=1)
@@ -142,7 +142,7 @@ _LAYOUTS = (
 )
 
 
-def _read_file(path: Path, board: Board, camera: Camera) -> _Part:
+def _read_file(path: Path, board: Cornered, camera: Camera) -> _Part:
     table = open_table(path, ",")
     layout = _layout(table)
     rows = table.read(layout.columns)
@@ -174,7 +174,7 @@ def _check_in_image(table: TextTable, corners_px: FloatArray, camera: Camera) ->
         )
 
 
-def _joined(parts: list[_Part], board: Board, camera: Camera) -> CameraDetections:
+def _joined(parts: list[_Part], board: Cornered, camera: Camera) -> CameraDetections:
     """The parts as one, in order of time; within a view in the order of the files."""
     stamps_ns = np.concatenate([part.stamps_ns for part in parts])
     corner_ids = np.concatenate([part.corner_ids for part in parts])
@@ -186,7 +186,7 @@ def _joined(parts: list[_Part], board: Board, camera: Camera) -> CameraDetection
     return CameraDetections(view_stamps_ns, view_start, corner_ids[order], corners_px[order])
 
 
-def _check_unique(parts: list[_Part], stamps_ns: IntArray, corner_ids: IntArray, board: Board) -> None:
+def _check_unique(parts: list[_Part], stamps_ns: IntArray, corner_ids: IntArray, board: Cornered) -> None:
     order = np.lexsort((corner_ids, stamps_ns))
     same = (np.diff(stamps_ns[order]) == 0) & (np.diff(corner_ids[order]) == 0)
     if not same.any():

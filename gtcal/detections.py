@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -11,6 +12,20 @@ import numpy.typing as npt
 from gtcal.camera import FloatArray
 
 IntArray = npt.NDArray[np.int64]
+
+
+class Cornered(Protocol):
+    """What detections are of: a board, or a device with several faces."""
+
+    @property
+    def n_corners(self) -> int:
+        """Corner ids are 0 to this less 1."""
+
+    def corner_name(self, corner_id: int) -> str:
+        """What a person calls this corner, as 'tag 7 corner 2'."""
+
+    def describe(self) -> str:
+        """The board or device in one line."""
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ import re
 from collections.abc import Hashable, Iterable
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypeVar
 
 import yaml
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PositiveInt, ValidationError, WithJsonSchema
@@ -43,11 +43,13 @@ TrajectoryFormat = Annotated[str, *_choice("a trajectory format", TRAJECTORY_REA
 CaptureName = Annotated[str, *_choice("a capture kind", [kind.value for kind in Capture])]
 
 
-class _Entry(BaseModel):
+class Entry(BaseModel):
+    """A part of a manifest: no field that isn't known, no value converted."""
+
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
 
 
-class CameraEntry(_Entry):
+class CameraEntry(Entry):
     """One camera, and where its images or detections are."""
 
     model: CameraModelName = Field(description="The camera model.")
@@ -73,7 +75,7 @@ class CameraEntry(_Entry):
     )
 
 
-class TrajectoryEntry(_Entry):
+class TrajectoryEntry(Entry):
     """The trajectory of one tracked body, and what its file leaves unsaid."""
 
     trajectory: str = Field(description="The file, relative to the manifest.")
@@ -96,7 +98,7 @@ class TrajectoryEntry(_Entry):
         return PoseConventions(self.quaternion, self.length_unit, self.time_unit, self.pose)
 
 
-class Manifest(_Entry):
+class Manifest(Entry):
     """A recording of a board that cameras see and a mocap system tracks."""
 
     gtcal_recording: Literal[1] = Field(description="Version of this format: 1.")
@@ -122,6 +124,9 @@ class Manifest(_Entry):
         """The tracked bodies that are given, by name."""
         given = {"platform": self.platform, "board_body": self.board_body}
         return {name: entry for name, entry in given.items() if entry is not None}
+
+
+M = TypeVar("M", bound=Entry)
 
 
 def manifest_schema() -> dict[str, Any]:
@@ -153,23 +158,40 @@ def read_manifest(path: Path) -> Manifest:
     """Read and check the manifest file at ``path``.
 
     Raises GtcalError naming the file and the field for the first thing that is wrong."""
-    data = _load(path)
-    if not isinstance(data, dict):
-        raise GtcalError(f"{path}: is no manifest; expected fields such as 'gtcal_recording: 1'")
-    try:
-        manifest = Manifest.model_validate(data)
-    except ValidationError as error:
-        raise GtcalError(f"{path}: {_explain(error)}") from None
+    data = load_fields(path)
+    if "device" in data:
+        raise GtcalError(
+            f"{path}: device: this is a recording of a Lollypop, which verifies a calibration ('gtcal verify'), "
+            "not of a board to calibrate from"
+        )
+    manifest = validated(path, data, Manifest)
     try:
         check_bodies(Capture(manifest.capture), set(manifest.bodies))
-        for name, camera in manifest.cameras.items():
-            _check_sources(name, camera)
+        check_sources(manifest.cameras)
     except GtcalError as error:
         raise GtcalError(f"{path}: {error}") from None
     return manifest
 
 
-def write_manifest(path: Path, manifest: Manifest) -> None:
+def load_fields(path: Path) -> dict[str, Any]:
+    """The fields of a manifest file, unchecked.
+
+    Raises GtcalError where it can't be read, is no YAML or JSON, or holds no fields."""
+    data = _load(path)
+    if not isinstance(data, dict):
+        raise GtcalError(f"{path}: is no manifest; expected fields such as 'gtcal_recording: 1'")
+    return data
+
+
+def validated(path: Path, data: dict[str, Any], kind: type[M]) -> M:
+    """The fields as a manifest of this kind. Raises GtcalError naming the file and the first field that is wrong."""
+    try:
+        return kind.model_validate(data)
+    except ValidationError as error:
+        raise GtcalError(f"{path}: {_explain(error, kind)}") from None
+
+
+def write_manifest(path: Path, manifest: Entry) -> None:
     """Write a manifest as YAML, without the fields at None. Raises GtcalError where its folder takes no files."""
     data = manifest.model_dump(exclude_none=True)
     write_text(path, yaml.safe_dump(data, sort_keys=False, default_flow_style=None, width=120))
@@ -181,9 +203,11 @@ def did_you_mean(name: str, choices: Iterable[str]) -> str:
     return f"; did you mean {near[0]!r}?" if near else ""
 
 
-def _check_sources(name: str, camera: CameraEntry) -> None:
-    if camera.images is None and camera.image_list is None and camera.detections is None:
-        raise GtcalError(f"cameras.{name}: has neither 'images' nor 'image_list' nor 'detections'; give one")
+def check_sources(cameras: dict[str, CameraEntry]) -> None:
+    """Raises GtcalError where a camera has neither images nor detections."""
+    for name, camera in cameras.items():
+        if camera.images is None and camera.image_list is None and camera.detections is None:
+            raise GtcalError(f"cameras.{name}: has neither 'images' nor 'image_list' nor 'detections'; give one")
 
 
 def _bodies_schema(capture: Capture) -> dict[str, Any]:
@@ -257,22 +281,22 @@ _Loader.add_implicit_resolver(
 )
 
 
-def _explain(error: ValidationError) -> str:
+def _explain(error: ValidationError, kind: type[Entry]) -> str:
     """The first error in one line: an unknown field before a missing one, since a misspelt field is both."""
     errors = sorted(error.errors(), key=lambda e: e["type"] != "extra_forbidden")
     first = errors[0]
     field = ".".join(str(part) for part in first["loc"])
     more = f" (and {len(errors) - 1} more)" if len(errors) > 1 else ""
-    return f"{field}: {_message(first)}{more}"
+    return f"{field}: {_message(first, kind)}{more}"
 
 
-def _message(error: ErrorDetails) -> str:
+def _message(error: ErrorDetails, manifest: type[Entry]) -> str:
     kind, given = error["type"], error["input"]
     if kind == "extra_forbidden":
-        names = list(_entry_at(error["loc"]).model_fields)
+        names = list(_entry_at(error["loc"], manifest).model_fields)
         return f"is not a field{did_you_mean(str(error['loc'][-1]), names)}; fields: {', '.join(names)}"
     if kind == "missing":
-        described = _entry_at(error["loc"]).model_fields[str(error["loc"][-1])].description
+        described = _entry_at(error["loc"], manifest).model_fields[str(error["loc"][-1])].description
         return f"is missing; it says: {described}"
     if kind == "choice":
         return error["msg"]
@@ -280,8 +304,8 @@ def _message(error: ErrorDetails) -> str:
     return f"is {given!r}; {expected[0].lower()}{expected[1:]}"
 
 
-def _entry_at(loc: tuple[int | str, ...]) -> type[_Entry]:
+def _entry_at(loc: tuple[int | str, ...], manifest: type[Entry]) -> type[Entry]:
     """The entry whose field stands at this place."""
     if len(loc) == 1:
-        return Manifest
+        return manifest
     return CameraEntry if loc[0] == "cameras" else TrajectoryEntry

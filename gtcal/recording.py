@@ -14,7 +14,7 @@ from gtcal.board import Board, board_from_manifest
 from gtcal.camera import Camera
 from gtcal.capture import Capture, RefMotion
 from gtcal.detection_files import read_detections, write_detections
-from gtcal.detections import CameraDetections
+from gtcal.detections import CameraDetections, Cornered
 from gtcal.errors import GtcalError
 from gtcal.files import InputFile, fingerprint, write_text
 from gtcal.images import ImageSequence, image_folder, image_list
@@ -91,7 +91,7 @@ def load_recording(path: Path | str) -> Recording:
     Raises GtcalError, in one line that names the file and the field or row, for anything that is wrong with it."""
     manifest_path = find_manifest(Path(path))
     manifest = read_manifest(manifest_path)
-    loader = _Loader(manifest_path)
+    loader = Loader(manifest_path)
     board = loader.board(manifest.board)
     cameras = {name: loader.camera(name, entry) for name, entry in manifest.cameras.items()}
     detections = {
@@ -105,7 +105,7 @@ def load_recording(path: Path | str) -> Recording:
         if entry.images is not None or entry.image_list is not None
     }
     trajectories = {name: loader.trajectory(name, entry) for name, entry in manifest.bodies.items()}
-    loader.check_millimetres(manifest, trajectories)
+    loader.check_millimetres(manifest.bodies, trajectories)
     return Recording(
         path=manifest_path,
         capture=Capture(manifest.capture),
@@ -128,14 +128,17 @@ def write_recording(recording: Recording, folder: Path | str) -> Path:
     Raises GtcalError where the folder can't be written."""
     folder = Path(folder)
     for name, detections in recording.detections.items():
-        write_detections(folder / _detections_name(name), detections)
+        write_detections(folder / detections_name(name), detections)
     for name, trajectory in recording.motion.trajectories.items():
         write_euroc_csv(folder / f"{name}.csv", trajectory)
     manifest = Manifest(
         gtcal_recording=1,
         capture=recording.capture.value,
         board=recording.board.to_manifest(),
-        cameras={name: _camera_entry(recording, name, folder) for name in recording.cameras},
+        cameras={
+            name: camera_entry(camera, recording.images.get(name), folder, with_detections=name in recording.detections)
+            for name, camera in recording.cameras.items()
+        },
         **{
             name: TrajectoryEntry(trajectory=f"{name}.csv", format="euroc_csv")
             for name in recording.motion.trajectories
@@ -146,7 +149,7 @@ def write_recording(recording: Recording, folder: Path | str) -> Path:
     return folder / MANIFEST_NAMES[0]
 
 
-class _Loader:
+class Loader:
     """Reads what a manifest points to, and remembers which files those were."""
 
     def __init__(self, manifest_path: Path) -> None:
@@ -157,7 +160,7 @@ class _Loader:
         try:
             return board_from_manifest(block)
         except GtcalError as error:
-            raise self._error("board", str(error)) from None
+            raise self.error("board", str(error)) from None
 
     def camera(self, name: str, entry: CameraEntry) -> Camera:
         width, height = entry.image_size_px
@@ -170,7 +173,7 @@ class _Loader:
         theta = np.array([entry.parameters[parameter] for parameter in model.parameter_names])
         return Camera(name, model, theta, width, height)
 
-    def detections(self, name: str, given: str, board: Board, camera: Camera) -> CameraDetections:
+    def detections(self, name: str, given: str, board: Cornered, camera: Camera) -> CameraDetections:
         path = self._existing(f"cameras.{name}.detections", given)
         self.used.append(path)
         return read_detections(path, board, camera)
@@ -194,16 +197,16 @@ class _Loader:
         self.used.append(path)
         return TRAJECTORY_READERS[entry.format](path, name, entry.conventions)
 
-    def check_millimetres(self, manifest: Manifest, trajectories: dict[str, Trajectory]) -> None:
+    def check_millimetres(self, bodies: dict[str, TrajectoryEntry], trajectories: dict[str, Trajectory]) -> None:
         """Metres declared as millimetres leave every body within millimetres of where it started."""
         motions_m = {
             name: float(np.ptp(trajectory.world_T_body[:, :3, 3], axis=0).max())
             for name, trajectory in trajectories.items()
         }
         largest_m = max(motions_m.values())
-        declared = [name for name, entry in manifest.bodies.items() if entry.length_unit == "mm"]
+        declared = [name for name, entry in bodies.items() if entry.length_unit == "mm"]
         if declared and largest_m < _SMALLEST_MOTION_OF_MM_M:
-            raise self._error(
+            raise self.error(
                 f"{declared[0]}.length_unit",
                 f"as mm, no body moves by more than {1000 * largest_m:.3g} mm in the whole recording; "
                 "are the positions metres? then set m",
@@ -212,39 +215,40 @@ class _Loader:
     def _existing(self, where: str, given: str) -> Path:
         path = self.manifest_path.parent / given
         if not path.exists():
-            raise self._error(where, f"there is no {path}")
+            raise self.error(where, f"there is no {path}")
         return path
 
     def _check_parameter_names(self, where: str, model: str, parameters: dict[str, float]) -> None:
         names = CAMERA_MODELS[model].parameter_names
         for name in parameters:
             if name not in names:
-                raise self._error(
+                raise self.error(
                     f"{where}.{name}",
                     f"is not a parameter of {model}{did_you_mean(name, names)}; parameters: {', '.join(names)}",
                 )
         for name in names:
             if name not in parameters:
-                raise self._error(f"{where}.{name}", f"is missing; {model} has {', '.join(names)}")
+                raise self.error(f"{where}.{name}", f"is missing; {model} has {', '.join(names)}")
 
     def _check_parameters(self, where: str, parameters: dict[str, float], width: int, height: int) -> None:
         for name in ("fx", "fy"):
             if parameters[name] <= 0:
-                raise self._error(f"{where}.{name}", f"is {parameters[name]:g}; a focal length is positive")
+                raise self.error(f"{where}.{name}", f"is {parameters[name]:g}; a focal length is positive")
         ratio = parameters["fx"] / parameters["fy"]
         if not 1 / _MOST_UNEQUAL_FOCAL_LENGTHS < ratio < _MOST_UNEQUAL_FOCAL_LENGTHS:
-            raise self._error(
+            raise self.error(
                 f"{where}.fx",
                 f"is {parameters['fx']:g}, but fy is {parameters['fy']:g}; pixels are nearly square: check both",
             )
         if hint := _other_image_size(parameters["cx"], parameters["cy"], width, height):
-            raise self._error(
+            raise self.error(
                 where,
                 f"the principal point ({parameters['cx']:g}, {parameters['cy']:g}) px {hint}, not the {width} x "
                 f"{height} of image_size_px; the parameters look like another image size",
             )
 
-    def _error(self, where: str, message: str) -> GtcalError:
+    def error(self, where: str, message: str) -> GtcalError:
+        """An error about a field of the manifest."""
         return GtcalError(f"{self.manifest_path}: {where}: {message}")
 
 
@@ -261,23 +265,23 @@ def _other_image_size(cx: float, cy: float, width: int, height: int) -> str:
     return ""
 
 
-def _camera_entry(recording: Recording, name: str, folder: Path) -> CameraEntry:
-    camera = recording.cameras[name]
+def camera_entry(camera: Camera, images: ImageSequence | None, folder: Path, *, with_detections: bool) -> CameraEntry:
+    """The manifest's entry of a camera, for a manifest in ``folder``; a list of its images is written where their
+    names need one."""
     theta = None if camera.parameters is None else camera.parameters.tolist()
-    images, listing = (
-        _write_image_list(recording.images[name], name, folder) if name in recording.images else (None, None)
-    )
+    image_dir, listing = (None, None) if images is None else _write_image_list(images, camera.name, folder)
     return CameraEntry(
         model=camera.model.name,
         image_size_px=[camera.image_width_px, camera.image_height_px],
         parameters=None if theta is None else dict(zip(camera.model.parameter_names, theta, strict=True)),
-        images=images,
+        images=image_dir,
         image_list=listing,
-        detections=_detections_name(name) if name in recording.detections else None,
+        detections=detections_name(camera.name) if with_detections else None,
     )
 
 
-def _detections_name(camera: str) -> str:
+def detections_name(camera: str) -> str:
+    """The file of a camera's detections beside the manifest."""
     return f"{camera}_detections.csv"
 
 

@@ -4,6 +4,7 @@ where the board says that it must be."""
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import cv2
 import numpy as np
@@ -23,6 +24,17 @@ _SMALLEST_SIDE_PX = 4.0
 # 0.55 or more (0.9 and more where it is sharp), another one with 0.5 or less in 99 of 100 cases.
 READABLE_MODULE_PX = 1.4
 READ_CORRELATION, ABSENT_CORRELATION = 0.6, 0.45
+
+
+class Tagged(Protocol):
+    """What the tags are read for: a board, or a device with several faces."""
+
+    @property
+    def dictionary(self) -> str: ...
+    @property
+    def border_modules(self) -> int: ...
+    @property
+    def tag_ids(self) -> IntArray: ...
 
 
 @dataclass(frozen=True)
@@ -58,7 +70,7 @@ def find_tags(image: GreyImage, board: Board) -> tuple[FoundTags, int]:
     return best, most
 
 
-def read_tags(image: GreyImage, board: Board, *, threshold: int, scale: int) -> FoundTags:
+def read_tags(image: GreyImage, board: Tagged, *, threshold: int, scale: int) -> FoundTags:
     """All tags of the board that OpenCV reads in an image, right or wrong: ids that aren't on the board, mirrored,
     concave and tiny quadrilaterals are left out.
 
@@ -73,7 +85,7 @@ def read_tags(image: GreyImage, board: Board, *, threshold: int, scale: int) -> 
     return FoundTags(tags, corners_px).take((tags >= 0) & _plausible(corners_px))
 
 
-def _detector(board: Board, threshold: int) -> cv2.aruco.ArucoDetector:
+def _detector(board: Tagged, threshold: int) -> cv2.aruco.ArucoDetector:
     parameters = cv2.aruco.DetectorParameters()
     parameters.markerBorderBits = board.border_modules
     parameters.adaptiveThreshConstant = threshold
