@@ -76,6 +76,9 @@ class CalibrationOptions:
                 raise GtcalError(f"{name}: {getattr(self, name)} is not a positive number")
         if self.sigma_px is not None and not self.sigma_px > 0.0:
             raise GtcalError(f"sigma_px: {self.sigma_px} is not a positive number")
+        for name, least in (("max_iterations", 1), ("pnp_views", 3), ("seed", 0)):
+            if getattr(self, name) < least:
+                raise GtcalError(f"{name}: {getattr(self, name)} is less than {least}")
 
     @property
     def calibrate_intrinsics(self) -> bool:
