@@ -113,7 +113,7 @@ def cached_detect(
 
 def _see(images: ImageSequence, index: int, board: Board | Lollypop, camera: Camera | None) -> SeenBoard:
     if isinstance(board, Lollypop):
-        return see_lollypop(images.read(index), board)
+        return see_lollypop(images.read(index), board, camera)
     return see_board(images.read(index), board, camera)
 
 

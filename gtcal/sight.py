@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
+import numpy.typing as npt
 
 from gtcal.camera import Camera, FloatArray
 from gtcal.lens_guess import guess_lens
@@ -72,14 +73,32 @@ def _facing(camera: Camera, seen_px: FloatArray) -> BearingSight | None:
     return sight if np.isfinite(sight.to_plane(seen_px)).all() else None
 
 
-def pixels_and_derivative(
-    sight: Sight, plane: FloatArray, plane_per_m: FloatArray, step_m: float
-) -> tuple[FloatArray, FloatArray]:
-    """(N, 2) the pixels of points (N, 2) of the plane, and (N, 2, 2) their derivative to the board point in metres
-    that ``plane_per_m`` (N, 2, 2) is the plane's derivative to, by differences over ``step_m``."""
+@dataclass(frozen=True)
+class BoardImage:
+    """Where N points of the board are in the image, and how it runs there.
+
+    pixels_px: (N, 2). px_per_m: (N, 2, 2) the derivative to the board's x (first column) and y. px_per_m2: (N, 2, 2)
+    the second derivatives along x and along y: how the lens bends the board's straight lines.
+    NaN where a point has no pixel."""
+
+    pixels_px: FloatArray
+    px_per_m: FloatArray
+    px_per_m2: FloatArray
+
+    def at(self, which: npt.NDArray[np.bool_]) -> BoardImage:
+        """Some of the points, by mask or index."""
+        return BoardImage(self.pixels_px[which], self.px_per_m[which], self.px_per_m2[which])
+
+
+def board_image(sight: Sight, plane: FloatArray, plane_per_m: FloatArray, step_m: float) -> BoardImage:
+    """Of the board's points that lie at ``plane`` (N, 2), which has the derivative ``plane_per_m`` (N, 2, 2) to the
+    board point in metres; by differences over ``step_m``."""
+    here = sight.to_pixels(plane)
     steps = step_m * np.moveaxis(plane_per_m, 2, 0)
-    columns = [(sight.to_pixels(plane + step) - sight.to_pixels(plane - step)) / (2 * step_m) for step in steps]
-    return sight.to_pixels(plane), np.stack(columns, axis=2)
+    ahead, behind = ([sight.to_pixels(plane + sign * step) for step in steps] for sign in (1.0, -1.0))
+    first = [(a - b) / (2 * step_m) for a, b in zip(ahead, behind, strict=True)]
+    second = [(a - 2 * here + b) / step_m**2 for a, b in zip(ahead, behind, strict=True)]
+    return BoardImage(here, np.stack(first, axis=2), np.stack(second, axis=2))
 
 
 def _rotation_to_z(axis: FloatArray) -> FloatArray:

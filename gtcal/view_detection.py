@@ -19,7 +19,7 @@ from gtcal.detections import IntArray
 from gtcal.images import GreyImage
 from gtcal.local_warp import LocalWarps, fit_local_warps
 from gtcal.refinement import MAX_RADIUS_PX, RefinedCorners, refine_corners
-from gtcal.sight import PixelSight, Sight, pixels_and_derivative, sight_of
+from gtcal.sight import BoardImage, PixelSight, Sight, board_image, sight_of
 from gtcal.tags import (
     ABSENT_CORRELATION,
     READ_CORRELATION,
@@ -173,18 +173,18 @@ class _Search:
             return False
         self.tries[candidates] += 1
         self._take_sight(known_m, known_px)
-        guess_px, px_per_m = self._predict(known_m, known_px, self.corners_m[candidates])
-        shown = self._well_inside(guess_px) & (self.board.pitch_m * _least_stretch(px_per_m) > _NARROWEST_PX)
-        candidates, guess_px, px_per_m = candidates[shown], guess_px[shown], px_per_m[shown]
+        guess = self._predict(known_m, known_px, self.corners_m[candidates])
+        wide = self.board.pitch_m * _least_stretch(guess.px_per_m) > _NARROWEST_PX
+        shown = self._well_inside(guess.pixels_px) & wide
+        candidates, guess = candidates[shown], guess.at(shown)
         refined = refine_corners(
             self.image,
-            guess_px,
-            px_per_m,
+            guess,
             saddle=self.print.saddle[candidates],
             clear_band_m=self.board.clear_band_m,
             clear_reach_m=self.board.clear_reach_m,
         )
-        good = self._good(refined, candidates, guess_px, px_per_m)
+        good = self._good(refined, candidates, guess)
         self.corners_px[candidates[good]] = refined.corners_px[good]
         self._drop_stray()
         self._read_tags()
@@ -209,8 +209,8 @@ class _Search:
             self.sight = sight_of(self.camera, self.image.shape[:2], known_m, known_px)
             self.n_when_sighted = len(known_m)
 
-    def _predict(self, known_m: FloatArray, known_px: FloatArray, at_m: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """(M, 2) pixels and (M, 2, 2) pixels per metre of places (M, 2) on the board, NaN where there are none."""
+    def _predict(self, known_m: FloatArray, known_px: FloatArray, at_m: FloatArray) -> BoardImage:
+        """The image of places (M, 2) on the board."""
         plane = self.sight.to_plane(known_px)
         usable = np.isfinite(plane).all(axis=1)
         warps = fit_local_warps(known_m[usable], plane[usable], at_m, spread_m=self.board.pitch_m)
@@ -222,11 +222,9 @@ class _Search:
         inside = (x >= _MARGIN_PX) & (x <= width - 1 - _MARGIN_PX)
         return inside & (y >= _MARGIN_PX) & (y <= height - 1 - _MARGIN_PX)
 
-    def _good(
-        self, refined: RefinedCorners, corners: IntArray, guess_px: FloatArray, px_per_m: FloatArray
-    ) -> BoolArray:
-        moved_px = np.linalg.norm(refined.corners_px - guess_px, axis=1)
-        side_px = self.board.pitch_m * _least_stretch(px_per_m)
+    def _good(self, refined: RefinedCorners, corners: IntArray, guess: BoardImage) -> BoolArray:
+        moved_px = np.linalg.norm(refined.corners_px - guess.pixels_px, axis=1)
+        side_px = self.board.pitch_m * _least_stretch(guess.px_per_m)
         step = refined.step * self.print.sign[corners]
         reach_px = side_px * self.board.clear_reach_m / self.board.pitch_m
         blurred_px = np.maximum(_BLUR_PART * np.minimum(reach_px, MAX_RADIUS_PX), _BLUR_PX)
@@ -261,12 +259,12 @@ class _Search:
         corners_m = self.corners_m[ids]
         plane = self.sight.to_plane(self.corners_px[ids])
         warps = fit_local_warps(corners_m, plane, corners_m, spread_m=self.board.pitch_m, leave_out=np.arange(len(ids)))
-        predicted_px, px_per_m = self._to_pixels(warps)
-        off_px = np.linalg.norm(predicted_px - self.corners_px[ids], axis=1)
-        return np.nan_to_num(off_px), np.nan_to_num(self.board.pitch_m * _least_stretch(px_per_m))
+        predicted = self._to_pixels(warps)
+        off_px = np.linalg.norm(predicted.pixels_px - self.corners_px[ids], axis=1)
+        return np.nan_to_num(off_px), np.nan_to_num(self.board.pitch_m * _least_stretch(predicted.px_per_m))
 
-    def _to_pixels(self, warps: LocalWarps) -> tuple[FloatArray, FloatArray]:
-        return pixels_and_derivative(self.sight, *warps.at_centres(), step_m=0.05 * self.board.pitch_m)
+    def _to_pixels(self, warps: LocalWarps) -> BoardImage:
+        return board_image(self.sight, *warps.at_centres(), step_m=0.05 * self.board.pitch_m)
 
     def _absent(self) -> BoolArray:
         """(C,) the corners all of whose tags were looked at and aren't there."""
@@ -284,8 +282,7 @@ class _Search:
         warps = fit_local_warps(known_m, plane, middle_m, spread_m=self.board.pitch_m)
         modules = warps.apply(module_centres_m(self.board, tags))
         modules_px = self.sight.to_pixels(modules.reshape(-1, 2)).reshape(modules.shape)
-        _, px_per_m = self._to_pixels(warps)
-        module_px = self.board.module_m * _least_stretch(px_per_m)
+        module_px = self.board.module_m * _least_stretch(self._to_pixels(warps).px_per_m)
         correlation = read_codes(self.image, self.board, tags, modules_px)
         readable = np.isfinite(correlation) & (module_px >= READABLE_MODULE_PX)
         self.tag_read[tags[readable & (correlation >= READ_CORRELATION)]] = 1
