@@ -157,16 +157,11 @@ def read_codes(image: GreyImage, board: Board, tags: IntArray, centres_px: Float
     border = board.border_modules
     ids = tuple(int(i) for i in board.tag_ids)
     codes = tag_codes(board.dictionary, ids, border)[tags, border:-border, border:-border]
-    grey = cv2.remap(
-        image,
-        centres_px.astype(np.float32),
-        None,  # type: ignore[call-overload]
-        cv2.INTER_LINEAR,
-        borderMode=cv2.BORDER_REFLECT,
-    )
-    correlation = _correlations(grey, codes.reshape(len(tags), -1))
     height, width = image.shape
-    inside = ((centres_px >= 0) & (centres_px <= np.array([width - 1, height - 1]))).all(axis=(1, 2))
+    inside = np.all((centres_px >= 0) & (centres_px <= np.array([width - 1, height - 1])), axis=(1, 2))
+    at = np.where(inside[:, None, None], centres_px, 0.0).astype(np.float32)
+    grey = cv2.remap(image, at, None, cv2.INTER_LINEAR)  # type: ignore[call-overload]
+    correlation = _correlations(grey, codes.reshape(len(tags), -1))
     return np.where(inside, correlation, np.nan)
 
 
