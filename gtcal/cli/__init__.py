@@ -1,62 +1,81 @@
-"""The command line: one module per command, each imported whole only when it runs."""
+"""The command line: one module per command, imported only when the command runs."""
 
 from __future__ import annotations
 
 import logging
+import os
 import sys
 from collections.abc import Sequence
+from importlib import import_module
+from importlib.metadata import version
 
-DESCRIPTION = """Camera-to-mocap calibration: where each camera sits relative to the mocap system, and how sure that is.
+COMMANDS = {
+    "demo": "render a small recording, calibrate it, and compare with the truth",
+    "board": "draw a calibration board to scale",
+    "calibrate": "find every camera's extrinsic and the board-to-body transform from a recording",
+    "detect": "find the board in a recording's images, and keep the corners",
+    "simulate": "simulate a recording with known ground truth",
+    "schema": "print the JSON schema of a recording's manifest",
+}
+"""Every command, a function of this name in the module of this name, and what it does."""
 
-The usual way: 'gtcal board' draws a board to print; you record it with the cameras and the mocap running; 'gtcal
-calibrate RECORDING' solves and writes calibration.json. 'gtcal demo' shows all of it on a rendered recording.
-'gtcal COMMAND --help' explains a command."""
+OVERVIEW = """usage: gtcal COMMAND ...
 
-EXIT_FAILURE = 1
+Camera-to-mocap calibration: where each camera sits relative to the mocap system, and how sure that is.
+
+The usual way: 'gtcal board' draws a board to print; you record it with the cameras and the mocap running;
+'gtcal calibrate RECORDING' solves and writes calibration.json. 'gtcal demo' shows all of it.
+
+commands:
+{commands}
+
+'gtcal COMMAND --help' explains a command; 'gtcal --version' prints the version.
+
+exit codes: 0 fine, 1 a failure told in one line, 2 usage"""
+
+EXIT_FAILURE, EXIT_USAGE, EXIT_INTERRUPTED = 1, 2, 130
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run a command. Exit codes: 0 fine, 1 a known failure told in one line (or a bug, with its traceback), 2 usage."""
+    """Run a command and return its exit code."""
+    given = list(sys.argv[1:] if arguments is None else arguments)
+    if not given or given[0] in ("-h", "--help"):
+        print(_overview())
+        return 0 if given else EXIT_USAGE
+    if given[0] == "--version":
+        print(f"gtcal {version('gtcal')}")
+        return 0
+    if given[0] not in COMMANDS:
+        print(f"gtcal: {given[0]!r} is no command; commands: {', '.join(COMMANDS)}", file=sys.stderr)
+        return EXIT_USAGE
+    return _run(given[0], given[1:])
+
+
+def _overview() -> str:
+    width = max(len(name) for name in COMMANDS)
+    return OVERVIEW.format(commands="\n".join(f"  {name:{width}}  {what}" for name, what in COMMANDS.items()))
+
+
+def _run(command: str, arguments: list[str]) -> int:
     import tyro
 
-    from gtcal.cli.board import board
-    from gtcal.cli.calibrate import calibrate
-    from gtcal.cli.demo import demo
-    from gtcal.cli.detect import detect
-    from gtcal.cli.schema import schema
-    from gtcal.cli.simulate import simulate
     from gtcal.errors import GtcalError
 
-    given = list(sys.argv[1:] if arguments is None else arguments)
-    if given == ["--version"]:
-        return _print_version()
-    commands = {
-        "demo": demo,
-        "board": board,
-        "calibrate": calibrate,
-        "detect": detect,
-        "simulate": simulate,
-        "schema": schema,
-    }
     logging.basicConfig(format="%(name)s: %(message)s", level=logging.WARNING)
+    function = getattr(import_module(f"gtcal.cli.{command}"), command)
     try:
-        tyro.extras.subcommand_cli_from_dict(
-            commands, prog="gtcal", description=DESCRIPTION, args=given, sort_subcommands=False
-        )
+        code = tyro.cli(function, prog=f"gtcal {command}", args=arguments)
+        sys.stdout.flush()
     except GtcalError as error:
         print(f"gtcal: {error}", file=sys.stderr)
         return EXIT_FAILURE
     except KeyboardInterrupt:
         print("gtcal: interrupted", file=sys.stderr)
-        return 130
+        return EXIT_INTERRUPTED
+    except BrokenPipeError:  # the reader of our output, 'head' say, has had enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return EXIT_FAILURE
     except Exception:
         logging.getLogger("gtcal").exception("this is a bug in gtcal; please report it with what you ran")
         return EXIT_FAILURE
-    return 0
-
-
-def _print_version() -> int:
-    from importlib.metadata import version
-
-    print(f"gtcal {version('gtcal')}")
-    return 0
+    return code if isinstance(code, int) else 0

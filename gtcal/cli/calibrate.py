@@ -28,9 +28,10 @@ KernelName = Literal[
 
 
 def calibrate(
-    recording: tyro.conf.Positional[Path],
+    recording: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="RECORDING")],
     *,
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("calibration.json"),
+    report: Path | None = None,
     calibrate_intrinsics: bool = False,
     refine_intrinsics: bool = False,
     intrinsics_prior: Literal["weak", "stated"] = "weak",
@@ -63,6 +64,7 @@ def calibrate(
     Args:
         recording: Folder with the manifest (recording.yaml or recording.json), or the manifest itself.
         output: File to write.
+        report: HTML file to write with figures of the result (as 'gtcal report' does).
         calibrate_intrinsics: Find the intrinsics first, by a plain calibration from the views; those stated in the
             manifest are not used. For recordings without intrinsics.
         refine_intrinsics: Solve for the intrinsics too, jointly with the extrinsics in stage 3.
@@ -121,11 +123,13 @@ def calibrate(
     loaded = load_recording(recording)
     with shown_progress(quiet) as progress:
         calibration = run(loaded, options, progress=progress)
+        if report is not None:
+            _write_report(report, calibration, loaded, progress)
     write_calibration(output, calibration)
     if not quiet:
         notes = [note for images in loaded.images.values() for note in images.notes]
         print_calibration(calibration, notes=notes, verbose=verbose)
-        print(f"written: {output}")
+        print(f"written: {output}" + (f", {report}" if report is not None else ""))
 
 
 def _mocap(sigma_mm: float | None, sigma_deg: float | None) -> MocapSigmas | None:
@@ -137,6 +141,12 @@ def _mocap(sigma_mm: float | None, sigma_deg: float | None) -> MocapSigmas | Non
     if sigma_mm is None or sigma_deg is None:
         raise GtcalError("--mocap-sigma-mm and --mocap-sigma-deg go together: give both, or neither")
     return MocapSigmas(sigma_mm, sigma_deg)
+
+
+def _write_report(path: Path, calibration: Calibration, recording: Recording, progress: Progress) -> None:
+    from gtcal.report import gather_evidence, write_report
+
+    write_report(path, calibration, evidence=gather_evidence(calibration, recording, progress=progress))
 
 
 def _kernel(name: str, parameter: float | None) -> RobustKernel:

@@ -9,7 +9,7 @@ import tyro
 
 
 def detect(
-    recording: tyro.conf.Positional[Path],
+    recording: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="RECORDING")],
     *,
     output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None,
     redo: bool = False,

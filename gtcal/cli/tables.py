@@ -65,7 +65,13 @@ def camera_table(calibration: Calibration) -> Table:
 def _left_out(calibration: Calibration, camera: str) -> str:
     dropped = [entry for entry in calibration.dropped if entry.camera == camera]
     views, corners = sum(entry.n_views for entry in dropped), sum(entry.n_corners for entry in dropped)
-    return f"{views} views, {corners} corners" if corners else "-"
+    if not corners:
+        return "-"
+    return f"{_count(views, 'view')}, {_count(corners, 'corner')}" if views else _count(corners, "corner")
+
+
+def _count(number: int, what: str) -> str:
+    return f"{number} {what}" if number == 1 else f"{number} {what}s"
 
 
 def _board_line(calibration: Calibration) -> Text:
@@ -101,7 +107,10 @@ def stage_table(stages: Sequence[StageReport]) -> Table:
 
 def _dropped_lines(calibration: Calibration) -> list[Text]:
     return [
-        Text(f"left out of {entry.camera}: {entry.n_views} views, {entry.n_corners} corners: {entry.reason}")
+        Text(
+            f"left out of {entry.camera}: {_count(entry.n_views, 'view')}, {_count(entry.n_corners, 'corner')}: "
+            f"{entry.reason}"
+        )
         for entry in calibration.dropped
     ]
 
