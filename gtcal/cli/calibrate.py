@@ -9,7 +9,10 @@ import tyro
 
 if TYPE_CHECKING:
     from factors import RobustKernel
+    from gtcal.calibration import Calibration
     from gtcal.options import MocapSigmas
+    from gtcal.progress import Progress
+    from gtcal.recording import Recording
 
 KernelName = Literal[
     "Null",

@@ -1,0 +1,323 @@
+"""The calibration half of the report: what is shown of a calibration, as text and numbers ready for the page."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from gtcal.board import board_from_manifest
+from gtcal.calibration import NAIVE, Calibration, CameraCalibration, PoseEstimate
+from gtcal.camera import FloatArray
+from gtcal.progress import Progress, silent
+from gtcal.report.evidence import Evidence
+from gtcal.report.pictures import CAMERA_COLOURS, Picture
+from gtcal.report.residual_figures import covered_share, residual_pictures
+from gtcal.report.scene import BODY_NAMES, REF_NAMES, Scene, build_scene
+from gtcal.trajectory import quaternions_from_poses
+
+MOST_DETAILED_CAMERAS = 24
+"""Cameras with figures of their own: those that fit worst. More would make the page heavy and nobody would read it."""
+
+COVARIANCE_MEANINGS = {
+    NAIVE: "The covariance takes the mocap as exact and the corners as independent. Mocap noise moves all corners of "
+    "a frame together, so these figures are a lower bound: the true error is often several times larger.",
+}
+
+
+@dataclass(frozen=True)
+class Tile:
+    """A figure of the headline: what it is, the figure, and what it means."""
+
+    name: str
+    value: str
+    unit: str
+    meaning: str
+
+
+@dataclass(frozen=True)
+class CameraRow:
+    """A camera in the table, each cell as text. ``recomputed_px``: RMSE on the report's recording where that is another
+    one than the calibration's, else empty."""
+
+    name: str
+    colour: str
+    rmse_px: str
+    median_px: str
+    p95_px: str
+    recomputed_px: str
+    n_views: str
+    n_corners: str
+    left_out: str
+    covered: str
+    position_mm: str
+    sigma_mm: str
+    sigma_deg: str
+
+
+@dataclass(frozen=True)
+class PoseText:
+    """A transform and its 1-sigma, written out."""
+
+    name: str
+    meaning: str
+    translation_mm: str
+    quat_wxyz: str
+    sigma_mm: str
+    sigma_deg: str
+
+
+@dataclass(frozen=True)
+class ParameterText:
+    name: str
+    value: str
+    sigma: str
+
+
+@dataclass(frozen=True)
+class CameraDetails:
+    """One camera in full. ``pictures`` is empty without a recording, or where it is not among the worst."""
+
+    row: CameraRow
+    model: str
+    image_size: str
+    pose: PoseText
+    parameters: tuple[ParameterText, ...]
+    pictures: tuple[Picture, ...]
+
+
+@dataclass(frozen=True)
+class CalibrationPart:
+    """All that the page says of a calibration."""
+
+    title: str
+    lead: str
+    tiles: tuple[Tile, ...]
+    warnings: tuple[str, ...]
+    notes: tuple[str, ...]
+    rows: tuple[CameraRow, ...]
+    details: tuple[CameraDetails, ...]
+    board: str
+    board_pose: PoseText
+    covariance_meaning: str
+    ref: str
+    scene: Scene
+
+
+def calibration_part(
+    calibration: Calibration, evidence: Evidence | None, *, progress: Progress = silent
+) -> CalibrationPart:
+    """Prepare a calibration for the page; figures need the ``evidence`` of a recording."""
+    names = list(calibration.cameras)
+    colours = {name: CAMERA_COLOURS[index % len(CAMERA_COLOURS)] for index, name in enumerate(names)}
+    rows = {name: _row(calibration, evidence, name, colours[name]) for name in names}
+    pictures = _pictures(calibration, evidence, progress)
+    return CalibrationPart(
+        title=_title(calibration, evidence),
+        lead=_lead(calibration),
+        tiles=_tiles(calibration),
+        warnings=calibration.warnings,
+        notes=_notes(calibration, evidence),
+        rows=tuple(rows.values()),
+        details=tuple(
+            _details(camera, rows[name], pictures.get(name, ())) for name, camera in calibration.cameras.items()
+        ),
+        board=board_from_manifest(calibration.board).describe(),
+        board_pose=_board_pose(calibration),
+        covariance_meaning=covariance_meaning(calibration),
+        ref=REF_NAMES[calibration.capture],
+        scene=build_scene(calibration, evidence, colours),
+    )
+
+
+def covariance_meaning(calibration: Calibration) -> str:
+    """What to think of the 1-sigma figures."""
+    kind = calibration.covariance_kind
+    return COVARIANCE_MEANINGS.get(kind, f"Covariance: {kind}.")
+
+
+def _pictures(
+    calibration: Calibration, evidence: Evidence | None, progress: Progress
+) -> dict[str, tuple[Picture, ...]]:
+    if evidence is None:
+        return {}
+    pictures = {}
+    worst = _worst(calibration)
+    for done, name in enumerate(worst):
+        progress("figures", done, len(worst))
+        pictures[name] = residual_pictures(evidence.cameras[name])
+    progress("figures", len(worst), len(worst))
+    return pictures
+
+
+def _worst(calibration: Calibration) -> list[str]:
+    """The cameras that get figures."""
+    cameras = calibration.cameras
+    by_rmse = sorted(cameras, key=lambda name: -cameras[name].residuals.rmse_px)
+    return by_rmse[:MOST_DETAILED_CAMERAS]
+
+
+def _title(calibration: Calibration, evidence: Evidence | None) -> str:
+    manifests = [evidence.recording] if evidence is not None else []
+    manifests += [entry.path for entry in calibration.provenance.inputs]
+    folder = next((path.parent.resolve().name for path in manifests if path is not None), "")
+    return (
+        f"{folder}: {_count(len(calibration.cameras), 'camera')}"
+        if folder
+        else _count(len(calibration.cameras), "camera")
+    )
+
+
+def _lead(calibration: Calibration) -> str:
+    """The page in one or two sentences."""
+    warned = "with warnings, below" if calibration.warnings else "without warnings"
+    return (
+        f"Calibrated {warned}. A small residual says that the data agree with themselves; whether the calibration is "
+        "true, an independent recording has to show."
+    )
+
+
+def _tiles(calibration: Calibration) -> tuple[Tile, ...]:
+    cameras = calibration.cameras
+    worst = max(cameras, key=lambda name: cameras[name].residuals.rmse_px)
+    n_views = sum(camera.residuals.n_views for camera in cameras.values())
+    n_corners = sum(camera.residuals.n_corners for camera in cameras.values())
+    left_out = sum(entry.n_views for entry in calibration.dropped)
+    return (
+        Tile(
+            "Fit",
+            f"{calibration.rmse_px:.3f}",
+            "px RMSE",
+            f"over {_count(len(cameras), 'camera')}; worst {worst}, {cameras[worst].residuals.rmse_px:.3f} px",
+        ),
+        _sigma_tile(calibration),
+        Tile(
+            "Data",
+            f"{n_views:,}",
+            "view" if n_views == 1 else "views",
+            f"with {n_corners:,} corners; {left_out:,} views left out ({left_out / max(n_views + left_out, 1):.1%})",
+        ),
+    )
+
+
+def _sigma_tile(calibration: Calibration) -> Tile:
+    sigmas = {
+        name: (
+            _largest(camera.camera_T_ref.position_of_a_in_b_sigma_mm),
+            _largest(camera.camera_T_ref.rotation_sigma_deg),
+        )
+        for name, camera in calibration.cameras.items()
+    }
+    known = {name: (mm, deg) for name, (mm, deg) in sigmas.items() if mm is not None and deg is not None}
+    if not known:
+        return Tile("Certainty", "unknown", "", "no covariance was computed: stage 3 was left out")
+    worst = max(known, key=lambda name: known[name][0])
+    deg = max(deg for _, deg in known.values())
+    return Tile(
+        "Certainty, 1-sigma",
+        f"{known[worst][0]:.3f}",
+        "mm",
+        f"and {deg:.4f} deg at most; position least sure for {worst}; {calibration.covariance_kind} covariance",
+    )
+
+
+def _notes(calibration: Calibration, evidence: Evidence | None) -> tuple[str, ...]:
+    """What the reader must know to read the page right."""
+    if evidence is None:
+        return (
+            "No recording was given, so this report has no residual figures, no coverage, no board poses in the 3-D "
+            "view and nothing over time: make it again with --recording.",
+        )
+    notes = []
+    if evidence.is_hold_out:
+        files = ", ".join(path.name for path in (evidence.changed_inputs or ()))
+        notes.append(
+            f"The figures show another recording than the calibration's ({files} differ), so their residuals are "
+            "hold-out errors; those of the calibration's own data are in the table under 'RMSE'."
+        )
+    if len(calibration.cameras) > MOST_DETAILED_CAMERAS:
+        notes.append(
+            f"Figures are given for the {MOST_DETAILED_CAMERAS} of {len(calibration.cameras)} cameras that fit worst."
+        )
+    return tuple(notes)
+
+
+def _row(calibration: Calibration, evidence: Evidence | None, name: str, colour: str) -> CameraRow:
+    calibrated = calibration.cameras[name]
+    residuals, pose = calibrated.residuals, calibrated.camera_T_ref
+    seen = evidence.cameras[name] if evidence is not None else None
+    hold_out = evidence is not None and evidence.is_hold_out
+    return CameraRow(
+        name=name,
+        colour=colour,
+        rmse_px=f"{residuals.rmse_px:.3f}",
+        median_px=f"{residuals.median_px:.3f}",
+        p95_px=f"{residuals.p95_px:.3f}",
+        recomputed_px=f"{seen.statistics.rmse_px:.3f}" if seen is not None and hold_out else "",
+        n_views=f"{residuals.n_views:,}",
+        n_corners=f"{residuals.n_corners:,}",
+        left_out=_left_out(calibration, name),
+        covered=f"{covered_share(seen):.0%}" if seen is not None else "",
+        position_mm=_vector(1e3 * pose.position_of_a_in_b_m, 2),
+        sigma_mm=_vector(pose.position_of_a_in_b_sigma_mm, 3),
+        sigma_deg=_vector(pose.rotation_sigma_deg, 4),
+    )
+
+
+def _left_out(calibration: Calibration, name: str) -> str:
+    """Views, and the corners left out of views that stay."""
+    dropped = [entry for entry in calibration.dropped if entry.camera == name]
+    views = sum(entry.n_views for entry in dropped)
+    single = sum(entry.n_corners for entry in dropped if not entry.n_views)
+    counts = [_count(n, what) for n, what in ((views, "view"), (single, "corner")) if n]
+    return ", ".join(counts) or "none"
+
+
+def _details(calibrated: CameraCalibration, row: CameraRow, pictures: tuple[Picture, ...]) -> CameraDetails:
+    camera = calibrated.camera
+    pose = calibrated.camera_T_ref
+    return CameraDetails(
+        row=row,
+        model=camera.model.name,
+        image_size=f"{camera.image_width_px} × {camera.image_height_px} px",
+        pose=_pose("camera_T_ref", "takes coordinates in ref to the camera", pose, pose.position_of_a_in_b_sigma_mm),
+        parameters=_parameters(calibrated),
+        pictures=pictures,
+    )
+
+
+def _parameters(calibrated: CameraCalibration) -> tuple[ParameterText, ...]:
+    covariance = calibrated.theta_covariance
+    camera = calibrated.camera
+    return tuple(
+        ParameterText(name, f"{value:.7g}", "" if covariance is None else f"{covariance[index, index] ** 0.5:.2g}")
+        for index, (name, value) in enumerate(zip(camera.model.parameter_names, camera.theta, strict=True))
+    )
+
+
+def _board_pose(calibration: Calibration) -> PoseText:
+    pose = calibration.body_T_board
+    meaning = f"where the board sits in the {BODY_NAMES[calibration.capture]}"
+    return _pose("body_T_board", meaning, pose, pose.position_of_b_in_a_sigma_mm)
+
+
+def _pose(name: str, meaning: str, pose: PoseEstimate, sigma_mm: FloatArray | None) -> PoseText:
+    quat = quaternions_from_poses(pose.a_T_b[None], "wxyz")[0]
+    return PoseText(
+        name=name,
+        meaning=meaning,
+        translation_mm=_vector(1e3 * pose.a_T_b[:3, 3], 3),
+        quat_wxyz=_vector(quat, 6),
+        sigma_mm=_vector(sigma_mm, 3),
+        sigma_deg=_vector(pose.rotation_sigma_deg, 4),
+    )
+
+
+def _vector(values: FloatArray | None, digits: int) -> str:
+    return "" if values is None else "  ".join(f"{value + 0.0:.{digits}f}" for value in values)
+
+
+def _largest(values: FloatArray | None) -> float | None:
+    return None if values is None else float(values.max())
+
+
+def _count(n: int, what: str) -> str:
+    return f"{n:,} {what}" if n == 1 else f"{n:,} {what}s"

@@ -1,0 +1,195 @@
+"""What a recording says of a calibration: the residual of every corner through the calibration's chain.
+
+A calibration on disk keeps statistics, not residuals. They are computed again from a recording: its own, which gives
+the residuals that the statistics were taken from, or another one, which makes them hold-out errors."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from gtcal.calibration import Calibration, ResidualStatistics
+from gtcal.camera import BoolArray, Camera, FloatArray
+from gtcal.detections import IntArray
+from gtcal.errors import GtcalError
+from gtcal.estimate import Estimate
+from gtcal.observations import Dropped, Views, synchronise
+from gtcal.progress import Progress, silent
+from gtcal.recording import Recording
+from gtcal.residuals import chain_residuals_px, norms
+from gtcal.screening import keep_all, screen
+from gtcal.workflow import detected
+
+
+@dataclass(frozen=True)
+class CameraEvidence:
+    """How the corners of one camera fit.
+
+    camera: as calibrated.
+    views: all V views with a mocap pose, with all their N corners.
+    residuals_px: (N, 2) projection less measurement, NaN where the model has no pixel.
+    keep_view, keep_corner: (V,), (N,) what the screening for gross errors left in."""
+
+    camera: Camera
+    views: Views
+    residuals_px: FloatArray
+    keep_view: BoolArray
+    keep_corner: BoolArray
+
+    @cached_property
+    def shown(self) -> BoolArray:
+        """(N,) the corners that stay and have a pixel: M of them."""
+        return self.keep_corner & np.isfinite(self.residuals_px).all(axis=1)
+
+    @cached_property
+    def corners_px(self) -> FloatArray:
+        """(M, 2) where the corners that are shown were measured."""
+        return self.views.corners_px[self.shown]
+
+    @cached_property
+    def kept_residuals_px(self) -> FloatArray:
+        """(M, 2) of the corners that are shown."""
+        return self.residuals_px[self.shown]
+
+    @cached_property
+    def lengths_px(self) -> FloatArray:
+        """(M,) norms of ``kept_residuals_px``."""
+        return norms(self.kept_residuals_px)
+
+    @cached_property
+    def rmse_of_views_px(self) -> FloatArray:
+        """(V,) RMSE of each view over its corners that stay, of a view that was left out over all its corners; those
+        without a pixel aside. Infinite where no corner is left."""
+        counted = self.keep_corner | ~self.keep_view[self.views.view_of_corner]
+        squares = norms(self.residuals_px) ** 2
+        counted &= np.isfinite(squares)
+        start = self.views.view_start[:-1]
+        sums = np.add.reduceat(np.where(counted, squares, 0.0), start)
+        counts = np.add.reduceat(counted.astype(np.int64), start)
+        return np.where(counts > 0, np.sqrt(sums / np.maximum(counts, 1)), np.inf)
+
+    @property
+    def times_s(self) -> FloatArray:
+        """(V,) since the first view."""
+        stamps_ns: IntArray = self.views.stamps_ns
+        return (stamps_ns - stamps_ns[0]) * 1e-9
+
+    @property
+    def statistics(self) -> ResidualStatistics:
+        """Of the corners that stay."""
+        lengths_px = norms(self.residuals_px[self.keep_corner])
+        return ResidualStatistics.of(lengths_px, int(self.keep_view.sum()))
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """The residuals of a recording under a calibration.
+
+    changed_inputs: files of the recording that are not, or no longer, those that the calibration was computed from;
+        None where the calibration or the recording does not say what files it has.
+    dropped: views without a mocap pose, and what was gross."""
+
+    recording: Path | None
+    cameras: dict[str, CameraEvidence]
+    changed_inputs: tuple[Path, ...] | None
+    dropped: tuple[Dropped, ...]
+
+    @property
+    def is_hold_out(self) -> bool:
+        """Whether these are data that the calibration has not seen."""
+        return bool(self.changed_inputs)
+
+
+def gather_evidence(calibration: Calibration, recording: Recording, *, progress: Progress = silent) -> Evidence:
+    """The residuals of ``recording`` under ``calibration``; cameras with images only are detected first. Screened
+    as the calibration's options say.
+
+    Raises GtcalError where the two are of different rigs: another capture, board, set of cameras or image size."""
+    _check_same_rig(calibration, recording)
+    recording = detected(_with_calibrated_cameras(recording, calibration), progress=progress)
+    observations = synchronise(recording)
+    estimate = estimate_of(calibration)
+    screening = screen if calibration.provenance.options.get("screen", True) else keep_all
+    screened = screening(observations.views, estimate)
+    cameras = {
+        name: CameraEvidence(
+            camera=calibration.cameras[name].camera,
+            views=views,
+            residuals_px=chain_residuals_px(views, estimate),
+            keep_view=screened.keep_view[name],
+            keep_corner=screened.keep_corner[name],
+        )
+        for name, views in observations.views.items()
+    }
+    _check_pixels(cameras)
+    dropped = observations.dropped + screened.dropped(observations.views)
+    return Evidence(recording.path, cameras, _changed_inputs(calibration, recording), dropped)
+
+
+def estimate_of(calibration: Calibration) -> Estimate:
+    """The unknowns as the residuals want them."""
+    cameras = calibration.cameras
+    return Estimate(
+        body_T_board=calibration.body_T_board.a_T_b,
+        camera_T_ref={name: camera.camera_T_ref.a_T_b for name, camera in cameras.items()},
+        theta={name: camera.camera.theta for name, camera in cameras.items()},
+    )
+
+
+def _with_calibrated_cameras(recording: Recording, calibration: Calibration) -> Recording:
+    """The recording with the calibration's cameras, and only those."""
+    cameras = {name: calibrated.camera for name, calibrated in calibration.cameras.items()}
+    return replace(
+        recording,
+        cameras=cameras,
+        detections={name: found for name, found in recording.detections.items() if name in cameras},
+        images={name: images for name, images in recording.images.items() if name in cameras},
+    )
+
+
+def _check_pixels(cameras: dict[str, CameraEvidence]) -> None:
+    for name, evidence in cameras.items():
+        if not evidence.shown.any():
+            raise GtcalError(
+                f"camera {name!r}: the calibration places every corner of the recording outside of the lens's field; "
+                "is it a recording of the calibrated rig?"
+            )
+
+
+def _check_same_rig(calibration: Calibration, recording: Recording) -> None:
+    where = recording.path or "the recording"
+    if recording.capture != calibration.capture:
+        raise GtcalError(
+            f"{where}: its capture is {recording.capture.value}, the calibration's {calibration.capture.value}; "
+            "give a recording of the calibrated rig"
+        )
+    if recording.board.to_manifest() != calibration.board:
+        raise GtcalError(
+            f"{where}: its board ({recording.board.describe()}) is not the calibration's; body_T_board holds for "
+            "the board it was found with"
+        )
+    for name, calibrated in calibration.cameras.items():
+        if name not in recording.cameras:
+            raise GtcalError(
+                f"{where}: lacks camera {name!r} of the calibration; cameras: {', '.join(recording.cameras)}"
+            )
+        _check_same_size(str(where), calibrated.camera, recording.cameras[name])
+
+
+def _check_same_size(where: str, calibrated: Camera, recorded: Camera) -> None:
+    sizes = [(camera.image_width_px, camera.image_height_px) for camera in (calibrated, recorded)]
+    if sizes[0] != sizes[1]:
+        raise GtcalError(
+            f"{where}: images of camera {calibrated.name!r} are {sizes[1][0]} x {sizes[1][1]} pixels, the calibration "
+            f"is for {sizes[0][0]} x {sizes[0][1]}"
+        )
+
+
+def _changed_inputs(calibration: Calibration, recording: Recording) -> tuple[Path, ...] | None:
+    known = {entry.sha256 for entry in calibration.provenance.inputs}
+    if not known or not recording.inputs:
+        return None
+    return tuple(entry.path for entry in recording.inputs if entry.sha256 not in known)
