@@ -13,6 +13,7 @@ COMMANDS = {
     "demo": "render a small recording, calibrate it, and compare with the truth",
     "board": "draw a calibration board to scale",
     "calibrate": "find every camera's extrinsic and the board-to-body transform from a recording",
+    "report": "show a calibration, and what it rests on, on one HTML page",
     "detect": "find the board in a recording's images, and keep the corners",
     "simulate": "simulate a recording with known ground truth",
     "schema": "print the JSON schema of a recording's manifest",
