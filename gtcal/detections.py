@@ -18,6 +18,10 @@ class Cornered(Protocol):
     """What detections are of: a board, or a device with several faces."""
 
     @property
+    def corners_m(self) -> FloatArray:
+        """(C, 3) the corners in the frame of the board or the device."""
+
+    @property
     def n_corners(self) -> int:
         """Corner ids are 0 to this less 1."""
 
