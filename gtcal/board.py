@@ -28,8 +28,8 @@ CodeArray = npt.NDArray[np.uint8]
 _SMALLEST_SIDE_M, _LARGEST_SIDE_M = 0.002, 2.0
 # Kalibr's AprilGrid prints its tags with a black border of two modules (the plain AprilTag and ArUco: one).
 _APRILGRID_BORDER_MODULES, _ARUCO_BORDER_MODULES = 2, 1
-# OpenCV holds the AprilTag codes turned by half a turn against the upright AprilGrid: its upper-left corner
-# of a tag is the print's lower-right. Settled on the reference corners of a real AprilGrid recording.
+# OpenCV holds the AprilTag codes turned by half a turn against the families' own and so the upright AprilGrid: its
+# upper-left corner of a tag is the print's lower-right. Reference corners of a real AprilGrid recording agree.
 _APRILGRID_OPENCV_CORNERS = (1, 0, 3, 2)
 _ARUCO_OPENCV_CORNERS = (0, 1, 2, 3)
 
