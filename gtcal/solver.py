@@ -158,7 +158,7 @@ def _align(
         aligned = stage_1(guides, np.random.default_rng(options.seed))
         estimate, fitting = aligned.estimate, aligned.views
         worst, best = aligned.sweep.rmse_of_starts_m.max(), aligned.sweep.rmse_m
-        found = _report(1, "Procrustes sweep", started, (worst, best), "m rmse, worst and best start")
+        found = _report(1, "Procrustes sweep", started, (worst, best), "m rmse")
         reports.append(replace(found, median_px=_median_px(views, estimate)))
         progress("stage 1: Procrustes sweep", 1, 1)
     else:
@@ -168,7 +168,7 @@ def _align(
     if 2 in options.stages:
         progress("stage 2: 3-D alignment", 0, 1)
         estimate, minimised = stage_2(fitting, estimate, eps=options.eps, max_iterations=options.max_iterations)
-        found = _report(2, "3-D alignment", started, minimised.errors, "m^2, halved")
+        found = _report(2, "3-D alignment", started, minimised.errors, "m^2 / 2")
         reports.append(replace(found, median_px=_median_px(views, estimate)))
         progress("stage 2: 3-D alignment", 1, 1)
     if 1 in options.stages and not options.allow_degenerate:
@@ -185,13 +185,13 @@ def _adjust(
         return not_adjusted(views, estimate, options), []
     started = time.perf_counter()
     adjusted = adjust(views, estimate, options, progress)
-    report = _report(3, "pixels", started, adjusted.errors, "px^2, halved")
+    report = _report(3, "pixels", started, adjusted.errors, "px^2 / 2")
     reports = [replace(report, median_px=_median_px(views, adjusted.estimate))]
     if options.mocap is None:
         return adjusted, reports
     started = time.perf_counter()
     adjusted = adjust_with_mocap_noise(adjusted, observations.motion, options, progress)
-    report = _report(4, "mocap noise modelled", started, adjusted.errors, "whitened, halved")
+    report = _report(4, "mocap noise modelled", started, adjusted.errors, "whitened / 2")
     return adjusted, [*reports, replace(report, median_px=_median_px(views, adjusted.estimate))]
 
 

@@ -80,7 +80,7 @@ def _with_intrinsics(
                 0,
                 float("nan"),
                 found.rmse_px,
-                "px rmse, views apart",
+                "px rmse",
                 float("nan"),
                 seconds,
             )

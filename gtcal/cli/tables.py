@@ -17,14 +17,14 @@ from gtcal.recording import Recording
 from gtcal.simulation import GroundTruth
 
 _COVARIANCES = {
-    NAIVE: "of pixel noise alone, with the mocap taken as exact (too small where the mocap is noisy)",
-    ERRORS_IN_VARIABLES: "of pixel noise and the mocap noise given",
+    NAIVE: "of pixel noise alone; too small where the mocap is noisy",
+    ERRORS_IN_VARIABLES: "of pixel noise and of the mocap noise given",
 }
 
 
 def print_calibration(calibration: Calibration, *, notes: Sequence[str] = (), verbose: bool = False) -> None:
-    """Print the cameras, the board and the warnings; ``verbose`` adds the stages and what was left out and why."""
-    parts: list[RenderableType] = [camera_table(calibration), _board_line(calibration)]
+    """Print fit, poses and warnings; ``verbose`` adds the stages and what was left out and why."""
+    parts: list[RenderableType] = [fit_table(calibration), pose_table(calibration)]
     if verbose:
         parts += [stage_table(calibration.stages), *_dropped_lines(calibration)]
     parts += [Text(f"note: {note}", style="cyan") for note in notes]
@@ -32,33 +32,43 @@ def print_calibration(calibration: Calibration, *, notes: Sequence[str] = (), ve
     Console().print(Group(*parts))
 
 
-def camera_table(calibration: Calibration) -> Table:
-    """A row per camera: how well it fits, from how much, where it is and how sure that is."""
+def fit_table(calibration: Calibration) -> Table:
+    """A row per camera: how well it fits, and from how much."""
+    table = _table("reprojection residuals, px")
+    for heading in ("RMSE", "median", "95 %", "worst", "views", "corners", "left out"):
+        table.add_column(heading, justify="right")
+    for name, camera in calibration.cameras.items():
+        fit = camera.residuals
+        lengths = (f"{length:.3f}" for length in (fit.rmse_px, fit.median_px, fit.p95_px, fit.worst_px))
+        table.add_row(name, *lengths, str(fit.n_views), str(fit.n_corners), _left_out(calibration, name))
+    return table
+
+
+def pose_table(calibration: Calibration) -> Table:
+    """A row per camera and one for the board: where it is, and how sure that is."""
+    table = _table("where they are", caption=f"1-sigma: {_COVARIANCES[calibration.covariance_kind]}")
+    for heading in ("position, mm", "in", "1-sigma, mm", "deg"):
+        table.add_column(heading, justify="left" if heading == "in" else "right")
+    for name, camera in calibration.cameras.items():
+        pose = camera.camera_T_ref
+        sigmas = _largest(pose.position_of_a_in_b_sigma_mm, 3), _largest(pose.rotation_sigma_deg, 4)
+        table.add_row(name, _vector(1e3 * pose.position_of_a_in_b_m), "ref", *sigmas)
+    pose = calibration.body_T_board
+    sigmas = _largest(pose.position_of_b_in_a_sigma_mm, 3), _largest(pose.rotation_sigma_deg, 4)
+    table.add_row("board", _vector(1e3 * pose.a_T_b[:3, 3]), "body", *sigmas)
+    return table
+
+
+def _table(title: str, *, caption: str | None = None) -> Table:
     table = Table(
         box=box.SIMPLE_HEAD,
-        caption=f"residuals in px over the corners used; 1-sigma: {_COVARIANCES[calibration.covariance_kind]}",
+        title=title,
+        title_justify="left",
+        caption=caption,
         caption_justify="left",
+        title_style="bold",
     )
-    table.add_column("camera")
-    for heading in ("RMSE", "median", "95 %", "views", "corners", "left out"):
-        table.add_column(heading, justify="right")
-    table.add_column("position in ref, mm", justify="right")
-    table.add_column("1-sigma, mm", justify="right")
-    table.add_column("deg", justify="right")
-    for name, camera in calibration.cameras.items():
-        residuals, pose = camera.residuals, camera.camera_T_ref
-        table.add_row(
-            name,
-            f"{residuals.rmse_px:.3f}",
-            f"{residuals.median_px:.3f}",
-            f"{residuals.p95_px:.3f}",
-            str(residuals.n_views),
-            str(residuals.n_corners),
-            _left_out(calibration, name),
-            _vector(1e3 * pose.position_of_a_in_b_m),
-            _largest(pose.position_of_a_in_b_sigma_mm, 3),
-            _largest(pose.rotation_sigma_deg, 4),
-        )
+    table.add_column("")
     return table
 
 
@@ -74,23 +84,13 @@ def _count(number: int, what: str) -> str:
     return f"{number} {what}" if number == 1 else f"{number} {what}s"
 
 
-def _board_line(calibration: Calibration) -> Text:
-    pose = calibration.body_T_board
-    line = f"body_T_board: origin at ({_vector(1e3 * pose.a_T_b[:3, 3])}) mm"
-    if pose.covariance is not None:
-        mm, deg = _largest(pose.position_of_b_in_a_sigma_mm, 3), _largest(pose.rotation_sigma_deg, 4)
-        line += f", 1-sigma {mm} mm, {deg} deg"
-    return Text(line)
-
-
 def stage_table(stages: Sequence[StageReport]) -> Table:
     """A row per stage."""
-    table = Table(box=box.SIMPLE_HEAD)
-    table.add_column("stage")
-    for heading in ("iterations", "error before", "after"):
+    table = _table("stages")
+    for heading in ("iterations", "error", "after"):
         table.add_column(heading, justify="right")
     table.add_column("unit")
-    for heading in ("median residual, px", "s"):
+    for heading in ("median px", "s"):
         table.add_column(heading, justify="right")
     for stage in stages:
         table.add_row(
@@ -117,8 +117,7 @@ def _dropped_lines(calibration: Calibration) -> list[Text]:
 
 def detection_table(recording: Recording) -> Table:
     """A row per camera: how much of the board its images show."""
-    table = Table(box=box.SIMPLE_HEAD)
-    table.add_column("camera")
+    table = _table("the board in the images")
     for heading in ("images", "with board", "corners", "median per view", "of board"):
         table.add_column(heading, justify="right")
     for name, detections in recording.detections.items():
@@ -145,14 +144,13 @@ def _number(value: float) -> str:
 
 def print_errors(calibration: Calibration, truth: GroundTruth) -> None:
     """Print how far a calibration of a simulated recording is from the truth."""
-    table = Table(box=box.SIMPLE_HEAD, title="difference from the truth", title_justify="left")
-    table.add_column("transform")
+    table = _table("difference from the truth")
     for heading in ("position, mm", "rotation, deg"):
         table.add_column(heading, justify="right")
     for name, camera in calibration.cameras.items():
         found, true = inverse(camera.camera_T_ref.a_T_b), inverse(truth.camera_T_ref[name])
-        table.add_row(f"camera_T_ref of {name}", *_difference(found, true))
-    table.add_row("body_T_board", *_difference(calibration.body_T_board.a_T_b, truth.body_T_board))
+        table.add_row(name, *_difference(found, true))
+    table.add_row("board", *_difference(calibration.body_T_board.a_T_b, truth.body_T_board))
     Console().print(table)
 
 
