@@ -191,7 +191,7 @@ def _adjust(
         return adjusted, reports
     started = time.perf_counter()
     adjusted = adjust_with_mocap_noise(adjusted, observations.motion, options, progress)
-    report = _report(4, "mocap noise modelled", started, adjusted.errors, "whitened / 2")
+    report = _report(4, "mocap noise modelled", started, adjusted.errors, "whitened")
     return adjusted, [*reports, replace(report, median_px=_median_px(views, adjusted.estimate))]
 
 

@@ -68,7 +68,7 @@ def _table(title: str, *, caption: str | None = None) -> Table:
         caption_justify="left",
         title_style="bold",
     )
-    table.add_column("")
+    table.add_column("", no_wrap=True)
     return table
 
 
@@ -87,7 +87,7 @@ def _count(number: int, what: str) -> str:
 def stage_table(stages: Sequence[StageReport]) -> Table:
     """A row per stage."""
     table = _table("stages")
-    for heading in ("iterations", "error", "after"):
+    for heading in ("steps", "error", "after"):
         table.add_column(heading, justify="right")
     table.add_column("unit")
     for heading in ("median px", "s"):
