@@ -168,7 +168,7 @@ def _align(
     if 2 in options.stages:
         progress("stage 2: 3-D alignment", 0, 1)
         estimate, minimised = stage_2(fitting, estimate, eps=options.eps, max_iterations=options.max_iterations)
-        found = _report(2, "3-D alignment", started, minimised.errors, "m^2 / 2")
+        found = _report(2, "3-D alignment", started, minimised.errors, "m^2/2")
         reports.append(replace(found, median_px=_median_px(views, estimate)))
         progress("stage 2: 3-D alignment", 1, 1)
     if 1 in options.stages and not options.allow_degenerate:
@@ -185,13 +185,13 @@ def _adjust(
         return not_adjusted(views, estimate, options), []
     started = time.perf_counter()
     adjusted = adjust(views, estimate, options, progress)
-    report = _report(3, "pixels", started, adjusted.errors, "px^2 / 2")
+    report = _report(3, "pixels", started, adjusted.errors, "px^2/2")
     reports = [replace(report, median_px=_median_px(views, adjusted.estimate))]
     if options.mocap is None:
         return adjusted, reports
     started = time.perf_counter()
     adjusted = adjust_with_mocap_noise(adjusted, observations.motion, options, progress)
-    report = _report(4, "mocap noise modelled", started, adjusted.errors, "whitened")
+    report = _report(4, "mocap noise", started, adjusted.errors, "whitened")
     return adjusted, [*reports, replace(report, median_px=_median_px(views, adjusted.estimate))]
 
 

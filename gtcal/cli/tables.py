@@ -139,7 +139,7 @@ def _largest(sigmas: FloatArray | None, digits: int) -> str:
 
 
 def _number(value: float) -> str:
-    return "" if np.isnan(value) else f"{value:.4g}"
+    return "" if np.isnan(value) else f"{value:.3g}"
 
 
 def print_errors(calibration: Calibration, truth: GroundTruth) -> None:
