@@ -1,8 +1,10 @@
 """A plain intrinsic calibration from a camera's views, for recordings that come without intrinsics.
 
-Pinhole cameras: OpenCV (Zhang's method). Fisheyes: the equidistant lens whose focal length lets PnP fit best, refined
-by Levenberg-Marquardt on the pixels over theta and all board poses. OpenCV's own fisheye calibration starts from
-normalised coordinates and fails on views that reach 90 degrees off the axis.
+First a Kannala-Brandt lens for every camera: the equidistant one whose focal length lets PnP fit best, refined by
+Levenberg-Marquardt on the pixels over theta and all board poses, robustly. It tells gross corners from good ones. From
+the good ones a richer fisheye goes on in the same way; a pinhole is left to OpenCV (Zhang's method, which a few wrong
+tags would ruin). OpenCV's own fisheye calibration starts from normalised coordinates and fails on views that reach 90
+degrees off the axis.
 """
 
 from __future__ import annotations
@@ -14,19 +16,36 @@ import gtsam
 import numpy as np
 import numpy.typing as npt
 
-from factors import KANNALA_BRANDT4, PINHOLE_RADTAN, FusedReprojectionFactor, RobustKernel, weak_intrinsics_prior
+from factors import (
+    KANNALA_BRANDT4,
+    PINHOLE_RADTAN,
+    CameraModel,
+    FusedReprojectionFactor,
+    RobustKernel,
+    weak_intrinsics_prior,
+)
 from gtcal.camera import Camera, FloatArray
 from gtcal.errors import GtcalError
 from gtcal.graph import minimise
 from gtcal.observations import Views
 from gtcal.pnp import solve_pnp
-from gtcal.residuals import corner_views, residual_norms_px, select_views
+from gtcal.residuals import corner_views, residual_norms_px, select_corners, select_views
+from gtcal.screening import CORNER_GATE, FLOOR_PX
 
 MAX_VIEWS = 80
 """More, spread over the recording, hardly say more about a lens."""
 
 WIDE_RAD = np.deg2rad(45.0)
 """Half the diagonal field from which a pinhole lens counts as wide."""
+
+CLEARLY_BETTER = 0.99
+"""The share of the RMSE that a lens with one more parameter must come down to, to be believed."""
+
+NO_FIT_PX = 3.0
+"""Median distance of the corners to where the lens and a pose of their view's own put them, from which it is no fit."""
+
+MISFIT = 5.0
+"""How many times worse than a Kannala-Brandt lens the wanted model may fit."""
 
 START_FIELDS_DEG = (40, 60, 80, 100, 120, 140, 160, 180, 200, 220)
 """Fields of view over the longer side that a fisheye may start from."""
@@ -42,7 +61,8 @@ _MIN_CORNERS = 12
 
 @dataclass(frozen=True)
 class IntrinsicCalibration:
-    """The camera with its intrinsics, and how well the views fit by themselves (each with its own board pose)."""
+    """The camera with its intrinsics, and how well the views fit by themselves (each with its own board pose), gross
+    corners left out."""
 
     camera: Camera
     rmse_px: float
@@ -52,11 +72,48 @@ class IntrinsicCalibration:
 def calibrate_intrinsics(views: Views) -> IntrinsicCalibration:
     """Find the intrinsics of the views' camera; those that it has are not used.
 
-    Raises GtcalError where there are too few views, or OpenCV finds no solution."""
+    Raises GtcalError where there are too few views, they fit no lens, or not one of the wanted model."""
     chosen = _choose(views)
-    pinhole = views.camera.model is PINHOLE_RADTAN
-    camera = _pinhole_camera(chosen) if pinhole else _fisheye_camera(chosen)
-    return _checked(replace(chosen, camera=camera))
+    simple = _Fit.of(replace(chosen, camera=_kannala_brandt(chosen)))
+    if not simple.median_px < NO_FIT_PX:
+        raise GtcalError(
+            f"camera {views.camera.name!r}: its views fit no lens (corners {simple.median_px:.3g} px off, typically); "
+            "does the board's description fit the board, and image_size_px the images?"
+        )
+    clean = _choose(simple.without_gross_corners())
+    wanted = views.camera.model
+    found = _Fit.of(_pinhole(clean) if wanted is PINHOLE_RADTAN else _fisheye(clean, wanted))
+    if not found.median_px < max(MISFIT * simple.median_px, FLOOR_PX):
+        raise GtcalError(
+            f"camera {views.camera.name!r}: {wanted.name} fits its views to {found.median_px:.3g} px, typically, but "
+            f"{KANNALA_BRANDT4.name} to {simple.median_px:.3g} px; state another model"
+        )
+    clean = found.without_gross_corners()
+    rmse_px = float(np.sqrt(np.mean(_Fit.of(clean).lengths_px ** 2)))
+    return IntrinsicCalibration(found.views.camera, rmse_px, clean.n_views)
+
+
+@dataclass(frozen=True)
+class _Fit:
+    """The views that PnP solves under their camera, and the distance (N,) of each corner to its projection."""
+
+    views: Views
+    lengths_px: FloatArray
+
+    @staticmethod
+    def of(views: Views) -> _Fit:
+        poses = solve_pnp(views, max_views=views.n_views)
+        if len(poses.view_index) == 0:
+            return _Fit(views, np.full(views.n_corners, np.inf))
+        solved = select_views(views, poses.view_index)
+        return _Fit(solved, residual_norms_px(solved, poses.camera_T_board[:, 0]))
+
+    @property
+    def median_px(self) -> float:
+        return float(np.median(self.lengths_px))
+
+    def without_gross_corners(self) -> Views:
+        return select_corners(self.views, self.lengths_px <= max(CORNER_GATE * self.median_px, FLOOR_PX))
 
 
 def _choose(views: Views) -> Views:
@@ -72,47 +129,65 @@ def _choose(views: Views) -> Views:
     return select_views(views, index)
 
 
-def _pinhole_camera(views: Views) -> Camera:
-    camera = views.camera
+def _pinhole(views: Views) -> Views:
+    """The views with the pinhole camera that OpenCV finds."""
+    camera = replace(views.camera, model=PINHOLE_RADTAN)
     corners_m = np.split(views.corners_m.astype(np.float32), views.view_start[1:-1])
     corners_px = np.split(views.corners_px.astype(np.float32), views.view_start[1:-1])
     try:
-        theta = _pinhole(corners_m, corners_px, (camera.image_width_px, camera.image_height_px))
+        theta = _pinhole_in_steps(corners_m, corners_px, (camera.image_width_px, camera.image_height_px))
     except cv2.error as error:
         raise GtcalError(
             f"camera {camera.name!r}: OpenCV finds no intrinsics from these views ({error.err}); record the board from "
             "different directions and over the whole image"
         ) from error
-    return replace(camera, parameters=theta)
+    return replace(views, camera=replace(camera, parameters=theta))
 
 
-def _pinhole(corners_m: list[Float32Array], corners_px: list[Float32Array], size_px: tuple[int, int]) -> FloatArray:
-    """k3 is left at zero unless the lens is wide: a narrow field does not determine it, and it then bends the corners
-    of the image."""
-    narrow = _zhang(corners_m, corners_px, size_px, cv2.CALIB_FIX_K3)
-    half_diagonal_rad = np.arctan(np.hypot(size_px[0] / narrow[0], size_px[1] / narrow[1]) / 2)
-    return narrow if half_diagonal_rad < WIDE_RAD else _zhang(corners_m, corners_px, size_px, 0)
+def _pinhole_in_steps(
+    corners_m: list[Float32Array], corners_px: list[Float32Array], size_px: tuple[int, int]
+) -> FloatArray:
+    """Pixels are square unless the views clearly say otherwise: few views leave the ratio to the errors of the print
+    and of the detector. k3 is zero unless the lens is wide: a narrow field does not determine it, and it then bends
+    the corners of the image."""
+    fixed = cv2.CALIB_FIX_K3
+    square_rmse_px, theta = _zhang(corners_m, corners_px, size_px, fixed | cv2.CALIB_FIX_ASPECT_RATIO)
+    free_rmse_px, free_theta = _zhang(corners_m, corners_px, size_px, fixed)
+    square = free_rmse_px > CLEARLY_BETTER * square_rmse_px
+    theta = theta if square else free_theta
+    half_diagonal_rad = np.arctan(np.hypot(size_px[0] / theta[0], size_px[1] / theta[1]) / 2)
+    if half_diagonal_rad < WIDE_RAD:
+        return theta
+    return _zhang(corners_m, corners_px, size_px, cv2.CALIB_FIX_ASPECT_RATIO if square else 0)[1]
 
 
 def _zhang(
     corners_m: list[Float32Array], corners_px: list[Float32Array], size_px: tuple[int, int], flags: int
-) -> FloatArray:
-    _, K, distortion, _, _ = cv2.calibrateCamera(corners_m, corners_px, size_px, None, None, flags=flags)
-    return np.array([K[0, 0], K[1, 1], K[0, 2], K[1, 2], *np.ravel(distortion)[:5]])
+) -> tuple[float, FloatArray]:
+    """OpenCV's calibration: rmse and theta."""
+    rmse_px, K, distortion, _, _ = cv2.calibrateCamera(corners_m, corners_px, size_px, np.eye(3), None, flags=flags)
+    return rmse_px, np.array([K[0, 0], K[1, 1], K[0, 2], K[1, 2], *np.ravel(distortion)[:5]])
 
 
-def _fisheye_camera(views: Views) -> Camera:
-    """Kannala-Brandt first, then the terms that a richer model adds to it: all at once, the higher ones run away."""
+def _kannala_brandt(views: Views) -> Camera:
     few = select_views(views, np.linspace(0, views.n_views - 1, min(views.n_views, _START_VIEWS)).astype(np.int64))
     simple = replace(views.camera, model=KANNALA_BRANDT4)
     starts = [_equidistant(simple, np.deg2rad(field_deg)) for field_deg in START_FIELDS_DEG]
     fits = [_median_px(replace(few, camera=start)) for start in starts]
-    camera = _settled(views, starts[int(np.argmin(fits))])
-    wanted = views.camera.model
-    if wanted is KANNALA_BRANDT4:
-        return camera
-    extended = np.pad(camera.theta, (0, wanted.n_parameters - KANNALA_BRANDT4.n_parameters))
-    return _settled(views, replace(camera, model=wanted, parameters=extended))
+    if not np.isfinite(fits).any():
+        raise GtcalError(
+            f"camera {views.camera.name!r}: no lens gives its views a pose of the board; does the board's description "
+            "fit the board?"
+        )
+    return _settled(views, starts[int(np.argmin(fits))])
+
+
+def _fisheye(views: Views, wanted: CameraModel) -> Views:
+    """The Kannala-Brandt camera of the views, with the terms that a richer model adds to it: all at once from nothing,
+    the higher ones run away."""
+    camera = views.camera
+    theta = np.pad(camera.theta, (0, wanted.n_parameters - KANNALA_BRANDT4.n_parameters))
+    return replace(views, camera=_settled(views, replace(camera, model=wanted, parameters=theta)))
 
 
 def _settled(views: Views, camera: Camera) -> Camera:
@@ -167,18 +242,3 @@ def _refined(views: Views) -> Camera:
     values.insert(theta_key, camera.theta)
     found = minimise(graph, values, eps=1e-8, max_iterations=100)
     return replace(camera, parameters=found.values.atVector(theta_key))
-
-
-def _checked(views: Views) -> IntrinsicCalibration:
-    """The fit of each view by itself. Raises GtcalError where the solution is no camera."""
-    camera = views.camera
-    fx, fy = camera.theta[:2]
-    if not (np.isfinite(camera.theta).all() and fx > 0.0 and fy > 0.0):
-        raise GtcalError(
-            f"camera {camera.name!r}: the intrinsics found make no sense (fx = {fx:.6g}, fy = {fy:.6g}); record the "
-            "board from different directions and over the whole image, or state another model"
-        )
-    poses = solve_pnp(views, max_views=views.n_views)
-    used = select_views(views, poses.view_index)
-    lengths = residual_norms_px(used, poses.camera_T_board[:, 0])
-    return IntrinsicCalibration(camera, float(np.sqrt(np.mean(lengths**2))), used.n_views)
