@@ -62,6 +62,7 @@ def pose_table(calibration: Calibration) -> Table:
 def _table(title: str, *, caption: str | None = None) -> Table:
     table = Table(
         box=box.SIMPLE_HEAD,
+        collapse_padding=True,
         title=title,
         title_justify="left",
         caption=caption,
