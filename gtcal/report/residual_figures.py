@@ -3,6 +3,8 @@ minute."""
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import LinearSegmentedColormap, LogNorm
@@ -95,10 +97,7 @@ def field(evidence: CameraEvidence) -> Picture:
     rmse = np.sqrt(_sums(corners_px, x_edges, y_edges, evidence.lengths_px**2) / per_bin)
     with styled_figure() as figure:
         axes = _image_axes(figure, camera)
-        shown = axes.pcolormesh(
-            x_edges, y_edges, np.where(enough, rmse, np.nan).T, cmap=_PALE, vmin=0.0, edgecolors="face", linewidth=0.1
-        )
-        figure.colorbar(shown, ax=axes, label="RMSE in the bin, px", shrink=0.8, aspect=24)
+        _bins(axes, np.where(enough, rmse, np.nan), x_edges, y_edges, "RMSE in the bin, px", cmap=_PALE, vmin=0.0)
         _arrows(axes, x_edges, y_edges, mean, enough)
         return picture(
             figure,
@@ -180,7 +179,7 @@ def scatter(evidence: CameraEvidence) -> Picture:
         if few:
             axes.plot(*residuals_px.T, ".", color=BLUE, markersize=3, alpha=0.5, markeredgewidth=0)
         else:
-            _density(figure, axes, residuals_px, limit_px)
+            _density(axes, residuals_px, limit_px)
         for radius_px, style, name in (
             (float(np.median(lengths_px)), "-", "50 %"),
             (float(np.quantile(lengths_px, 0.95)), "--", "95 %"),
@@ -199,14 +198,10 @@ def scatter(evidence: CameraEvidence) -> Picture:
         )
 
 
-def _density(figure: Figure, axes: Axes, residuals_px: FloatArray, limit_px: float) -> None:
+def _density(axes: Axes, residuals_px: FloatArray, limit_px: float) -> None:
     edges = np.linspace(-limit_px, limit_px, 49)
     counts = _sums(residuals_px, edges, edges)
-    shown = axes.pcolormesh(
-        edges, edges, np.where(counts > 0, counts, np.nan).T, cmap="Blues", norm=LogNorm(1, max(counts.max(), 2))
-    )
-    shown.set_rasterized(True)
-    figure.colorbar(shown, ax=axes, label="corners in the bin", shrink=0.8, aspect=24)
+    _bins(axes, counts, edges, edges, "corners in the bin", cmap="Blues", norm=_count_scale(counts))
 
 
 def histogram(evidence: CameraEvidence) -> Picture:
@@ -251,16 +246,7 @@ def coverage(evidence: CameraEvidence) -> Picture:
     counts = _sums(corners_px, x_edges, y_edges)
     with styled_figure() as figure:
         axes = _image_axes(figure, camera)
-        shown = axes.pcolormesh(
-            x_edges,
-            y_edges,
-            np.where(counts > 0, counts, np.nan).T,
-            cmap=SEQUENTIAL,
-            norm=LogNorm(1, max(float(counts.max()), 2)),
-            edgecolors="face",
-            linewidth=0.1,
-        )
-        figure.colorbar(shown, ax=axes, label="corners in the bin", shrink=0.8, aspect=24)
+        _bins(axes, counts, x_edges, y_edges, "corners in the bin", cmap=SEQUENTIAL, norm=_count_scale(counts))
         axes.plot(*camera.theta[2:4], "+", color=VERMILION, markersize=9, markeredgewidth=1.6)
         return picture(
             figure,
@@ -273,6 +259,20 @@ def covered_share(evidence: CameraEvidence) -> float:
     """Share of the image's bins, 20 across, that hold a corner that was used."""
     counts = _sums(evidence.corners_px, *_image_bins(evidence.camera, across=20))
     return float(np.mean(counts > 0))
+
+
+def _bins(axes: Axes, values: FloatArray, x_edges: FloatArray, y_edges: FloatArray, label: str, **scale: Any) -> None:
+    """Colour the bins (columns, rows) that hold something, and say what the colours mean."""
+    extent = (x_edges[0], x_edges[-1], y_edges[-1], y_edges[0])
+    seen = np.ma.masked_invalid(np.where(values > 0, values, np.nan)).T
+    shown = axes.imshow(seen, extent=extent, interpolation="none", **scale)
+    figure = axes.get_figure()
+    assert figure is not None
+    figure.colorbar(shown, ax=axes, label=label, shrink=0.8, aspect=24, format="%g")
+
+
+def _count_scale(counts: FloatArray) -> LogNorm:
+    return LogNorm(1, max(float(counts.max()), 2.0))
 
 
 def _image_axes(figure: Figure, camera: Camera) -> Axes:

@@ -2,7 +2,7 @@
 "use strict";
 
 (() => {
-  const START = { turn: 1.0, tilt: 0.4, zoom: 1.1 };
+  const START = { turn: 1.0, tilt: 0.4, zoom: 1 };
   const STEP = Math.PI / 24;
   const MOST_TILT = Math.PI / 2 - 0.01;
   const EYE_DISTANCE = 4; // in radii of the scene: a mild perspective
@@ -36,9 +36,8 @@
     return { right, up: cross(toEye, right), toEye };
   }
 
-  function projector(scene, ball, view, width, height) {
+  function projector(scene, ball, view, scale, width, height) {
     const axes = viewAxes(scene, view);
-    const scale = 0.47 * Math.min(width, height * 1.25) / ball.radius * view.zoom;
     return (point) => {
       const offset = combine(1, point, -1, ball.centre);
       const nearness = dot(offset, axes.toEye) / ball.radius; // -1 far .. 1 near
@@ -49,6 +48,18 @@
         nearness,
       ];
     };
+  }
+
+  // Pixels per metre at which everything is in sight from where one first looks.
+  function fittingScale(scene, ball, width, height) {
+    const project = projector(scene, ball, START, 1, 0, 0);
+    let across = 1e-9, down = 1e-9;
+    for (const line of scene.lines) for (const point of line.points) {
+      const [x, y] = project(point);
+      across = Math.max(across, Math.abs(x));
+      down = Math.max(down, Math.abs(y));
+    }
+    return Math.min(width / across, height / down) * 0.46;
   }
 
   const depth = (points) => points.reduce((sum, point) => sum + point[2], 0) / points.length;
@@ -90,17 +101,16 @@
     const view = { ...START };
     const hidden = new Set();
     const context = canvas.getContext("2d");
-    let awaited = false;
 
     function draw() {
-      awaited = false;
       const scale = Math.max(window.devicePixelRatio || 1, 2); // sharp in print, too
       const width = canvas.clientWidth * scale, height = canvas.clientHeight * scale;
       if (!width || !height) return;
       if (canvas.width !== width || canvas.height !== height) [canvas.width, canvas.height] = [width, height];
       context.lineJoin = context.lineCap = "round";
       context.clearRect(0, 0, width, height);
-      const project = projector(scene, ball, view, width, height);
+      const pixelsPerMetre = fittingScale(scene, ball, width, height) * view.zoom;
+      const project = projector(scene, ball, view, pixelsPerMetre, width, height);
       const shown = scene.lines
         .filter((line) => !hidden.has(line.layer))
         .map((line) => ({ line, points: line.points.map(project) }))
@@ -108,22 +118,18 @@
       for (const { line, points } of shown) drawLine(context, line, points, scale);
       for (const { line, points } of shown) if (line.label) drawLabel(context, line, points[0], scale);
     }
-    function redraw() {
-      if (!awaited) requestAnimationFrame(draw);
-      awaited = true;
-    }
     function turn(by, tiltBy) {
       view.turn += by;
       view.tilt = clamp(view.tilt + tiltBy, -MOST_TILT, MOST_TILT);
-      redraw();
+      draw();
     }
     function zoom(factor) {
       view.zoom = clamp(view.zoom * factor, 0.4, 12);
-      redraw();
+      draw();
     }
     function reset() {
       Object.assign(view, START);
-      redraw();
+      draw();
     }
 
     listenToPointers(canvas, turn, zoom);
@@ -147,14 +153,13 @@
       box.addEventListener("change", () => {
         if (box.checked) hidden.delete(box.value);
         else hidden.add(box.value);
-        redraw();
+        draw();
       });
     }
     for (const button of document.querySelectorAll(`button[data-zoom-of="${canvas.dataset.scene}"]`)) {
       button.addEventListener("click", () => (button.value === "reset" ? reset() : zoom(Number(button.value))));
     }
-    new ResizeObserver(redraw).observe(canvas);
-    draw();
+    new ResizeObserver(draw).observe(canvas); // also draws the first time
   }
 
   // One pointer turns; two pinch. The wheel zooms only where the view has the focus, else it scrolls the page.
