@@ -28,7 +28,7 @@ MAX_OFF_MEAN_RAD = np.deg2rad(75.0)
 
 _REFINEMENT = RobustKernel("Cauchy", 2.0)  # px: a wrong tag must not turn its view's pose
 _REFINEMENT_STEPS = 8
-_ENOUGH = 1e-4  # relative gain of the loss: these poses guide, they are not the answer
+_ENOUGH, _FEW = 1e-3, 0.05  # done where fewer views than this share still gain more than this share of their loss
 _PARALLEL_FROM_VIEWS = 64
 
 
@@ -55,7 +55,7 @@ def solve_pnp(views: Views, *, max_views: int) -> PnpViews:
         return PnpViews(chosen[:0], np.empty((0, 2, 4, 4)), np.empty((0, 2)))
     subset, chosen = select_views(subset, np.flatnonzero(solved)), chosen[solved]
     corners = corner_views(subset)
-    refined = [_refine(corners, subset.camera, poses[:, i]) for i in range(2)]
+    refined = [refine_poses(corners, subset.camera, poses[:, i]) for i in range(2)]
     loss = np.stack([by_pose.loss for by_pose in refined], axis=1)
     better = np.argsort(loss, axis=1, kind="stable")
     camera_T_board = np.stack([by_pose.camera_T_board for by_pose in refined], axis=1)
@@ -136,12 +136,14 @@ def _pose(virtual_R_camera: FloatArray, rotation: FloatArray, translation: Float
 
 
 @dataclass(frozen=True)
-class _Refined:
+class RefinedPoses:
+    """Poses (V, 4, 4) that fit each view's pixels best, and the views' losses (V,)."""
+
     camera_T_board: FloatArray
     loss: FloatArray
 
 
-def _refine(corners: CornerViews, camera: Camera, camera_T_board: FloatArray) -> _Refined:
+def refine_poses(corners: CornerViews, camera: Camera, camera_T_board: FloatArray) -> RefinedPoses:
     """Levenberg-Marquardt on the pixels of each view by itself, all views at once."""
     damping = np.full(len(camera_T_board), 1e-4)
     now = view_moments(corners, camera_T_board, camera.model, camera.theta, robust=_REFINEMENT)
@@ -149,13 +151,13 @@ def _refine(corners: CornerViews, camera: Camera, camera_T_board: FloatArray) ->
         tried_T = camera_T_board @ _exp(_damped_step(now.moments, damping))
         tried = view_moments(corners, tried_T, camera.model, camera.theta, robust=_REFINEMENT)
         better = tried.loss < now.loss
-        gain = (now.loss - tried.loss)[better] / (1e-12 + now.loss[better])
+        gains = (now.loss - tried.loss)[better] / (1e-12 + now.loss[better])
         camera_T_board = np.where(better[:, None, None], tried_T, camera_T_board)
         now.moments[better], now.loss[better] = tried.moments[better], tried.loss[better]
         damping = np.where(better, 0.1 * damping, 10.0 * damping)
-        if not better.any() or gain.max() < _ENOUGH:
+        if (gains > _ENOUGH).sum() < _FEW * len(better):
             break
-    return _Refined(camera_T_board, now.loss)
+    return RefinedPoses(camera_T_board, now.loss)
 
 
 def _damped_step(moments: FloatArray, damping: FloatArray) -> FloatArray:
