@@ -13,11 +13,14 @@ from typing import Any
 from gtcal.calibration import Provenance
 from gtcal.files import InputFile
 from gtcal.options import CalibrationOptions
+from gtcal.verification import VerificationOptions
 
 _LIBRARIES = ("gtcal", "gtsam", "numpy", "numba", "opencv-contrib-python-headless", "scipy")
 
 
-def provenance(options: CalibrationOptions, inputs: tuple[InputFile, ...], duration_s: float) -> Provenance:
+def provenance(
+    options: CalibrationOptions | VerificationOptions, inputs: tuple[InputFile, ...], duration_s: float
+) -> Provenance:
     """The circumstances of a result computed just now."""
     return Provenance(
         created_utc=datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),

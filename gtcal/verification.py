@@ -92,7 +92,7 @@ class VerificationOptions:
     min_parallax_deg: float = 3.0
     heat_map_columns: int = 20
     heat_map_rows: int = 16
-    false_alarm_rate: float = 0.005
+    false_alarm_rate: float = 0.002
     least_fault_px: float = 0.1
 
     def __post_init__(self) -> None:
@@ -337,19 +337,20 @@ class PoseCheck:
     rotation_deg: FloatArray
 
 
-FaultKind = Literal["markers_moved", "camera_moved", "device_centre"]
+FaultKind = Literal["markers_moved", "camera_moved", "lens_changed", "device_centre"]
 """markers_moved: a rigid correction that all cameras share: the markers of the headset (or, with fixed cameras, the
-mocap's world) moved against the cameras. camera_moved: one camera's own. device_centre: the Lollypop's centre is not
-where its body's origin is."""
+mocap's world) moved against the cameras. camera_moved: one camera's own. lens_changed: one camera's focal length, as
+when it warms up. device_centre: the Lollypop's centre is not where its body's origin is."""
 
 
 @dataclass(frozen=True)
 class Fault:
     """A correction that explains the errors significantly better than chance.
 
-    camera: for camera_moved.
+    camera: for camera_moved and lens_changed.
     correction: (4, 4). markers_moved: camera_T_ref * correction is every camera's better extrinsic. camera_moved:
-        correction * camera_T_ref is this camera's. device_centre: a shift in the device's body.
+        correction * camera_T_ref is this camera's. device_centre: a shift in the device's body. lens_changed: none.
+    focal_share: for lens_changed, by what share of itself the focal length is larger; else 0.
     shift_mm, turn_deg: its size: of the ref body's origin, of the camera's centre, or of the device's centre.
     shift_sigma_mm, turn_sigma_deg: 1-sigma of the same (of the most uncertain direction).
     p_value: of the test that there is no such correction, before accounting for the number of tests.
@@ -360,6 +361,7 @@ class Fault:
     kind: FaultKind
     camera: str | None
     correction: FloatArray
+    focal_share: float
     shift_mm: float
     turn_deg: float
     shift_sigma_mm: float

@@ -58,6 +58,11 @@ def simulate(options: SimulationOptions, *, seed: int) -> Simulation:
         options.duration_s,
         _stream(seed, "scene"),
     )
+    return simulate_in(scene, options, seed=seed)
+
+
+def simulate_in(scene: Scene, options: SimulationOptions, *, seed: int) -> Simulation:
+    """As ``simulate``, in a given scene with the options' rig, board and capture."""
     times_s = _frame_times(options)
     bodies = _tracked_bodies(scene, options, times_s, seed)
     corners = [_corners(scene, options, times_s, index, seed) for index in range(len(options.rig.cameras))]

@@ -22,7 +22,7 @@ def write_simulation(simulation: Simulation, folder: Path | str, *, images: bool
 
     Raises GtcalError where the folder holds something or can't be written."""
     folder = Path(folder)
-    _check_empty(folder)
+    check_empty(folder)
     recording, truth = simulation.recording, simulation.truth
     if images:
         sequences = film(simulation, folder / "images", progress)
@@ -32,7 +32,8 @@ def write_simulation(simulation: Simulation, folder: Path | str, *, images: bool
     return write_recording(recording, folder)
 
 
-def _check_empty(folder: Path) -> None:
+def check_empty(folder: Path) -> None:
+    """Raises GtcalError where the folder holds something."""
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise GtcalError(f"{folder}: holds something already; give a new or an empty folder to simulate into")
 
