@@ -1,8 +1,8 @@
 """Stages 1 and 2: from PnP poses to a chain that fits them in 3-D.
 
 Views whose PnP pose and mocap pose contradict the others (a swap, a flipped board pose, a wrong tag) must not decide
-the result, so stage 1 runs three times: on all views, then on those that the last result explains, each with the one
-of its two PnP poses that fits better.
+the result, so stage 1 runs three times: on the views whose turns agree, then on those that the last result explains,
+each with the one of its two PnP poses that fits better.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import numpy as np
 from factors.alignment import corner_moments, squared_distances
 from factors.moments import chain
 from factors.rigid import inverse
-from gtcal.camera import FloatArray
+from gtcal.camera import BoolArray, FloatArray
 from gtcal.estimate import Estimate
 from gtcal.graph import AlignmentViews, Minimisation, alignment_graph, minimise, to_values, updated
 from gtcal.observations import Views
@@ -27,6 +27,11 @@ _PASSES = 3
 _GATE = 3.0
 """A view guides the next pass where its rms distance is at most three times the median one. Views lost to it for no
 fault but distance do no harm: stage 3 takes them all."""
+
+_TURN_FLOOR_RAD = np.deg2rad(1.0)
+"""Turns that differ by less agree: PnP is no better than that on a distant board."""
+
+_MAX_REFERENCES = 200
 
 
 @dataclass(frozen=True)
@@ -49,7 +54,7 @@ class GuideViews:
         mean = np.stack(squared, axis=1) / self.corner_moments[:, 3, 3, None]
         return np.sqrt(np.maximum(mean, 0.0))
 
-    def alignment_views(self, keep: FloatArray, pose: FloatArray) -> AlignmentViews:
+    def alignment_views(self, keep: BoolArray, pose: FloatArray) -> AlignmentViews:
         """The views where ``keep`` (W,), each with its PnP pose of index ``pose`` (W,)."""
         chosen = self.pnp_camera_T_board[np.arange(len(pose)), pose]
         return AlignmentViews(self.views.ref_T_body[keep], chosen[keep], self.corner_moments[keep])
@@ -67,7 +72,7 @@ class Aligned:
 
 def stage_1(guides: Mapping[str, GuideViews], rng: np.random.Generator) -> Aligned:
     """Procrustes sweep over all cameras, robust to gross views while they are a minority."""
-    chosen = {name: _all_views(guide) for name, guide in guides.items()}
+    chosen = {name: _agreeing_views(guide) for name, guide in guides.items()}
     for _ in range(_PASSES):
         result = sweep(
             [alignment_sums(v.ref_T_body, v.pnp_camera_T_board, v.corner_moments) for v in chosen.values()], rng
@@ -88,16 +93,27 @@ def fitting_views(guides: Mapping[str, GuideViews], estimate: Estimate) -> dict[
     }
 
 
-def _fits(rms_m: FloatArray, median_m: float) -> FloatArray:
+def _fits(rms_m: FloatArray, median_m: float) -> BoolArray:
     """Mask (W,) of the fitting views; a camera none of whose views fit keeps its better half."""
     best = rms_m.min(axis=1)
     fits = best <= _GATE * median_m
     return fits if fits.sum() >= 3 else best <= np.median(best)
 
 
-def _all_views(guide: GuideViews) -> AlignmentViews:
-    n = len(guide.corner_moments)
-    return guide.alignment_views(np.ones(n, dtype=bool), np.zeros(n, dtype=np.int64))
+def _agreeing_views(guide: GuideViews) -> AlignmentViews:
+    """Views that have turned from most others by the same angle for PnP as for the mocap, as they must whatever X and
+    Y are: That_i^-1 That_j = X^-1 (A_i^-1 A_j) X (screw congruence, Chen 1991). At least half of the views."""
+    by_pnp, by_mocap = (_turns_rad(poses) for poses in (guide.pnp_camera_T_board[:, 0], guide.views.ref_T_body))
+    mismatch_rad = np.median(np.abs(by_pnp - by_mocap), axis=1)
+    agree = mismatch_rad <= max(_GATE * float(np.median(mismatch_rad)), _TURN_FLOOR_RAD)
+    return guide.alignment_views(agree, np.zeros(len(agree), dtype=np.int64))
+
+
+def _turns_rad(poses: FloatArray) -> FloatArray:
+    """Angles (W, R) between the attitudes of poses (W, 4, 4) and of R of them, spread evenly."""
+    flat = poses[:, :3, :3].reshape(-1, 9)
+    chosen = np.linspace(0, len(flat) - 1, min(len(flat), _MAX_REFERENCES)).round().astype(np.int64)
+    return np.asarray(np.arccos(np.clip(0.5 * (flat @ flat[chosen].T - 1.0), -1.0, 1.0)))
 
 
 def _estimate(guides: Mapping[str, GuideViews], result: SweepResult) -> Estimate:

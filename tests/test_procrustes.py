@@ -224,6 +224,18 @@ def _flip(guide: GuideViews) -> np.ndarray:
     return poses
 
 
+@pytest.mark.parametrize("kind", [HEADSET, FIXED, "one carried camera"])
+def test_a_third_of_swapped_frames_is_seen_through(kind: str) -> None:
+    """With the swaps told by their turns alone, before anything is known of X: four recordings of each kind."""
+    for seed in range(1, 5):
+        simulation = simulated(kind, seed=seed, swap_share=0.33)
+        aligned = stage_1(guides(synchronise(simulation.recording)), np.random.default_rng(0))
+        estimate, _ = stage_2(aligned.views, aligned.estimate, **STAGE_2)
+        mm, deg = worst(errors_of(estimate.camera_T_ref, estimate.body_T_board, simulation).values())
+        assert mm < 2.0, f"{seed=}"
+        assert deg < 0.2, f"{seed=}"
+
+
 @pytest.mark.parametrize("share", [0.1, 0.3])
 def test_gross_views_do_not_decide_the_alignment(share: float) -> None:
     """Mocap poses of some views turned and moved anywhere."""
