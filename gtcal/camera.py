@@ -49,6 +49,4 @@ class Camera:
     def in_image(self, pixels_px: FloatArray) -> BoolArray:
         """Mask (N,) of the pixels (N, 2) that lie on the sensor."""
         x, y = pixels_px[:, 0], pixels_px[:, 1]
-        return (
-            (x >= -0.5) & (x <= self.image_width_px - 0.5) & (y >= -0.5) & (y <= self.image_height_px - 0.5)
-        )
+        return (x >= -0.5) & (x <= self.image_width_px - 0.5) & (y >= -0.5) & (y <= self.image_height_px - 0.5)

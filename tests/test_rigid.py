@@ -27,9 +27,7 @@ def test_compose_and_chain_are_matrix_products(transforms: np.ndarray) -> None:
 
 
 def test_inverse(transforms: np.ndarray) -> None:
-    np.testing.assert_allclose(
-        inverse(transforms) @ transforms, np.broadcast_to(np.eye(4), (10, 4, 4)), atol=1e-14
-    )
+    np.testing.assert_allclose(inverse(transforms) @ transforms, np.broadcast_to(np.eye(4), (10, 4, 4)), atol=1e-14)
     np.testing.assert_allclose(inverse(inverse(transforms)), transforms, atol=1e-14)
     np.testing.assert_array_equal(inverse(transforms[4]), inverse(transforms)[4])
 

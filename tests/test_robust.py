@@ -39,9 +39,7 @@ def test_loss_and_weight_are_gtsams(name: str, factor: float) -> None:
 def test_weight_times_distance_is_the_slope_of_the_loss(name: str) -> None:
     robust = RobustKernel.named(name)
     k = robust.parameter
-    distance = np.array(
-        [d for d in distances(k) if 1e-3 < d < 100 and min(abs(d - k), abs(d - np.sqrt(k))) > 1e-4]
-    )
+    distance = np.array([d for d in distances(k) if 1e-3 < d < 100 and min(abs(d - k), abs(d - np.sqrt(k))) > 1e-4])
     step = 1e-5
     above, below = (loss_and_weight(robust, distance + s)[0] for s in (step, -step))
     slope = distance * loss_and_weight(robust, distance)[1]
