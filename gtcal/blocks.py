@@ -46,8 +46,8 @@ class BlockedCovariance:
 
 
 def sum_covariance(values: FloatArray, frame_index: IntArray) -> BlockedCovariance | None:
-    """The covariance of the sum of values (S, K) about their mean, each with its place in time ``frame_index`` (S,), not
-    decreasing. None where there are too few frames to tell."""
+    """The covariance of the sum of values (S, K) about their mean, each with its place in time ``frame_index`` (S,),
+    not decreasing. None where there are too few frames to tell."""
     by_frame = _summed(values - values.mean(axis=0), frame_index)
 
     def of_stretches(edges: IntArray) -> FloatArray:

@@ -54,6 +54,9 @@ def triangulate(
         depth_mm=1e3 * depth[enough],
         across_mm=1e3 * across[enough],
         statistics=error_statistics(norms_mm, frames, "mm", options.confidence) if len(norms_mm) else None,
+        depth_rmse_mm=_rms(1e3 * depth[enough]),
+        depth_bias_mm=1e3 * float(depth[enough].mean()) if enough.any() else float("nan"),
+        across_rmse_mm=_rms(1e3 * across[enough]),
     ), left_out if few else ()
 
 
@@ -127,11 +130,21 @@ def _check_poses_of(recording: LollypopRecording, name: str, seen: Sightings) ->
     shift_m = found[:, :3, 3] - calibrated[:, :3, 3]
     sight = calibrated[:, :3, 3] / np.linalg.norm(calibrated[:, :3, 3], axis=1, keepdims=True)
     depth_m = (shift_m * sight).sum(axis=1)
+    across_m = np.linalg.norm(shift_m - depth_m[:, None] * sight, axis=1)
+    rotation_deg = np.rad2deg(np.linalg.norm(turns, axis=1))
     return PoseCheck(
         camera=name,
         stamps_ns=stamps_ns,
         errors=np.concatenate([turns, difference[:, :3, 3]], axis=1),
         depth_mm=1e3 * depth_m,
-        across_mm=1e3 * np.linalg.norm(shift_m - depth_m[:, None] * sight, axis=1),
-        rotation_deg=np.rad2deg(np.linalg.norm(turns, axis=1)),
+        across_mm=1e3 * across_m,
+        rotation_deg=rotation_deg,
+        count=len(stamps_ns),
+        depth_rmse_mm=_rms(1e3 * depth_m),
+        across_rmse_mm=_rms(1e3 * across_m),
+        rotation_rmse_deg=_rms(rotation_deg),
     )
+
+
+def _rms(values: FloatArray) -> float:
+    return float(np.sqrt(np.mean(values**2))) if len(values) else float("nan")

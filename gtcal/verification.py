@@ -307,7 +307,8 @@ class TriangulationCheck:
     stamps_ns: (T,). seen_by: (T, C) which cameras. parallax_deg: (T,) largest angle between two of the rays.
     errors_in_ref_mm: (T, 3) triangulated less mocap centre, in the frame ref.
     depth_mm, across_mm: (T,) its part along the mean line of sight (positive: farther), and the length of the rest.
-    statistics: of the errors' lengths, None where T is 0."""
+    statistics: of the errors' lengths, None where T is 0. depth_rmse_mm, depth_bias_mm, across_rmse_mm: NaN there.
+    The arrays have no rows where the verification was read from a file."""
 
     cameras: tuple[str, ...]
     stamps_ns: IntArray
@@ -317,6 +318,9 @@ class TriangulationCheck:
     depth_mm: FloatArray
     across_mm: FloatArray
     statistics: ErrorStatistics | None
+    depth_rmse_mm: float
+    depth_bias_mm: float
+    across_rmse_mm: float
 
 
 @dataclass(frozen=True)
@@ -327,7 +331,9 @@ class PoseCheck:
     stamps_ns: (P,). errors: (P, 6) xi in found_camera_T_body = calibrated_camera_T_body * Exp(xi): rotation first, in
     rad and m, along the body's axes.
     depth_mm, across_mm: (P,) the position's error along the line of sight (positive: farther), and the length of the
-        rest. rotation_deg: (P,) angle."""
+        rest. rotation_deg: (P,) angle.
+    count: P; the RMSEs of the last three are NaN where it is 0. The arrays have no rows where the verification was read
+        from a file."""
 
     camera: str
     stamps_ns: IntArray
@@ -335,6 +341,10 @@ class PoseCheck:
     depth_mm: FloatArray
     across_mm: FloatArray
     rotation_deg: FloatArray
+    count: int
+    depth_rmse_mm: float
+    across_rmse_mm: float
+    rotation_rmse_deg: float
 
 
 FaultKind = Literal["markers_moved", "camera_moved", "lens_changed", "device_centre"]

@@ -13,6 +13,7 @@ COMMANDS = {
     "demo": "render a small recording, calibrate it, and compare with the truth",
     "board": "draw a calibration board to scale",
     "calibrate": "find every camera's extrinsic and the board-to-body transform from a recording",
+    "verify": "test a calibration with an independent recording of the Lollypop",
     "report": "show a calibration, and what it rests on, on one HTML page",
     "detect": "find the board in a recording's images, and keep the corners",
     "simulate": "simulate a recording with known ground truth",
@@ -32,7 +33,7 @@ commands:
 
 'gtcal COMMAND --help' explains a command; 'gtcal --version' prints the version.
 
-exit codes: 0 fine, 1 a failure told in one line, 2 usage"""
+exit codes: 0 fine, 1 a failure told in one line, 2 usage, 3 verified and failed, 4 verified and inconclusive"""
 
 EXIT_FAILURE, EXIT_USAGE, EXIT_INTERRUPTED = 1, 2, 130
 

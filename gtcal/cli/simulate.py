@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
+
+if TYPE_CHECKING:
+    from gtcal.simulation import SimulationOptions
+    from gtcal.simulation.lollypop import RigFault
 
 RigName = Literal["headset", "fixed"]
 CaptureName = Literal["tracked_platform", "standing_board", "fixed_cameras"]
@@ -36,6 +40,13 @@ def simulate(
     swap_share: float = 0.0,
     clock_offset_ms: float = 0.0,
     intrinsics: Literal["true", "perturbed", "none"] = "true",
+    lollypop: bool = False,
+    take: int = 1,
+    fault: Literal["none", "markers", "camera", "lens"] = "none",
+    fault_camera: str | None = None,
+    fault_mm: float = 1.0,
+    fault_deg: float = 0.1,
+    fault_percent: float = 0.2,
     quiet: Annotated[bool, tyro.conf.arg(aliases=["-q"])] = False,
 ) -> None:
     """Simulate a recording with known ground truth, to try gtcal on or to plan a capture.
@@ -73,6 +84,16 @@ def simulate(
         swap_share: Share of the frames in which the mocap gives a grossly wrong pose (a marker swap).
         clock_offset_ms: The cameras' stamps run ahead of the mocap's clock by this.
         intrinsics: What the recording says about the lenses: the truth, wrong values, or nothing.
+        lollypop: Simulate a recording of the Lollypop instead, to verify with: of the rig, and the rigid bodies on it,
+            that the same rig, capture and seed give without this. Frames, duration, image scale, pixel noise and
+            mocap count as above, but for 'frames': all frames at 30 Hz.
+        take: For --lollypop: another number, another recording of the same rig.
+        fault: For --lollypop, what happened to the rig since its calibration: the markers on it were bumped, a camera
+            was moved, or a lens warmed up.
+        fault_camera: The camera of that fault; by default the first.
+        fault_mm: How far the markers or the camera moved, along a direction that the seed chooses.
+        fault_deg: How far they turned.
+        fault_percent: By how much the lens's focal length grew.
         quiet: Show no progress and print nothing.
     """
     from gtcal.board import load_board
@@ -104,7 +125,56 @@ def simulate(
         clock_offset_s=1e-3 * clock_offset_ms,
         intrinsics=intrinsics,
     )
+    if lollypop:
+        happened = _fault(options, fault, fault_camera, fault_mm, fault_deg, fault_percent, seed)
+        _simulate_lollypop(options, happened, output, images=images, seed=seed, take=take, quiet=quiet)
+        return
     with shown_progress(quiet) as progress:
         manifest = write_simulation(run(options, seed=seed), output, images=images, progress=progress)
     if not quiet:
         print(f"{manifest}: {frames} frames of {len(cameras.cameras)} cameras; the truth is in ground_truth.json")
+
+
+def _simulate_lollypop(
+    options: SimulationOptions, fault: RigFault, output: Path, *, images: bool, seed: int, take: int, quiet: bool
+) -> None:
+    from gtcal.cli.progress import shown_progress
+    from gtcal.simulation.lollypop import LollypopOptions, simulate_lollypop, write_lollypop_simulation
+    from gtcal.simulation.simulate import scene_of
+
+    of_device = LollypopOptions(
+        rig=options.rig,
+        fault=fault,
+        capture=options.capture,
+        calibrated_in=scene_of(options, seed=seed),
+        duration_s=options.duration_s,
+        corners=options.corners,
+        mocap_rate_hz=options.mocap_rate_hz,
+        mocap=options.mocap,
+    )
+    simulation = simulate_lollypop(of_device, seed=_TAKES * seed + take)
+    with shown_progress(quiet) as progress:
+        manifest = write_lollypop_simulation(simulation, output, images=images, progress=progress)
+    if not quiet:
+        print(f"{manifest}: a recording of the Lollypop; try: gtcal verify calibration.json {output}")
+
+
+_TAKES = 10_007  # a prime: no take of one seed is a take of the next
+
+
+def _fault(
+    options: SimulationOptions, kind: str, camera: str | None, mm: float, deg: float, percent: float, seed: int
+) -> RigFault:
+    import numpy as np
+
+    from gtcal.simulation.lollypop import RigFault, small_motion
+
+    name = camera or options.rig.cameras[0].name
+    directions = np.random.default_rng([seed, 77]).standard_normal((2, 3))
+    shift, turn = directions / np.linalg.norm(directions, axis=1, keepdims=True)
+    moved = small_motion(mm * shift, deg * turn)
+    if kind == "markers":
+        return RigFault(markers=moved)
+    if kind == "camera":
+        return RigFault(cameras={name: moved})
+    return RigFault(focal_shares={name: percent / 100}) if kind == "lens" else RigFault()

@@ -47,9 +47,16 @@ def simulate(options: SimulationOptions, *, seed: int) -> Simulation:
     it and on what is filmed, not on the noise; each kind of noise has a random stream of its own.
 
     Raises GtcalError for a negative seed."""
+    return simulate_in(scene_of(options, seed=seed), options, seed=seed)
+
+
+def scene_of(options: SimulationOptions, *, seed: int) -> Scene:
+    """The world that ``simulate`` films with these options and this seed.
+
+    Raises GtcalError for a negative seed."""
     if seed < 0:
         raise GtcalError(f"seed is {seed}; expected a whole number, 0 or more")
-    scene = random_scene(
+    return random_scene(
         options.capture,
         options.rig,
         options.board,
@@ -58,7 +65,6 @@ def simulate(options: SimulationOptions, *, seed: int) -> Simulation:
         options.duration_s,
         _stream(seed, "scene"),
     )
-    return simulate_in(scene, options, seed=seed)
 
 
 def simulate_in(scene: Scene, options: SimulationOptions, *, seed: int) -> Simulation:

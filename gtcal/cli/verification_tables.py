@@ -1,0 +1,95 @@
+"""What the terminal shows of a verification."""
+
+from __future__ import annotations
+
+import numpy as np
+from rich import box
+from rich.console import Console, Group, RenderableType
+from rich.table import Table
+from rich.text import Text
+
+from gtcal.verification import CameraVerification, Verdict, Verification
+
+_STYLES = {Verdict.PASS: "bold green", Verdict.FAIL: "bold red", Verdict.INCONCLUSIVE: "bold yellow"}
+_WORDS = {
+    Verdict.PASS: "PASS: the calibration holds",
+    Verdict.FAIL: "FAIL: the calibration does not hold",
+    Verdict.INCONCLUSIVE: "INCONCLUSIVE: the recording can't tell",
+}
+
+
+def print_verification(verification: Verification, *, verbose: bool = False) -> None:
+    """Print the verdict, a table per camera and the findings; ``verbose`` adds what was left out and why."""
+    parts: list[RenderableType] = [Text(_WORDS[verification.verdict], style=_STYLES[verification.verdict])]
+    parts += [Text(f"  {reason}") for reason in verification.reasons]
+    parts += [_table(verification), *_findings(verification), *_depth_lines(verification)]
+    if verbose:
+        parts += [Text(f"left out of {left.camera}: {left.count}: {left.reason}") for left in verification.left_out]
+    parts += [Text(f"warning: {warning}", style="yellow") for warning in verification.warnings]
+    Console().print(Group(*parts))
+
+
+def _table(verification: Verification) -> Table:
+    options = verification.options
+    table = Table(
+        box=box.SIMPLE_HEAD,
+        padding=(0, 1, 0, 0),
+        caption=f"bounds of the RMSE at {100 * options.confidence:g} % each; n sightings in so much of the image; bias: "
+        f"length of the mean error. Tolerances: {options.max_rmse_px:g} px, {options.max_rmse_mm:g} mm RMSE",
+        caption_justify="left",
+    )
+    table.add_column("camera", no_wrap=True)
+    table.add_column("verdict", no_wrap=True)
+    for heading in ("RMSE px", "bounds", "95 %", "worst", "RMSE mm", "bias px", "n", "image"):
+        table.add_column(heading, justify="right")
+    for camera in verification.cameras.values():
+        table.add_row(*_row(camera))
+    return table
+
+
+def _row(camera: CameraVerification) -> tuple[str | Text, ...]:
+    px, mm, bias = camera.px, camera.mm, camera.bias
+    return (
+        camera.camera,
+        Text(str(camera.verdict), style=_STYLES[camera.verdict]),
+        f"{px.rmse:.3f}",
+        f"{px.rmse_low:.2f}-{px.rmse_high:.2f}",
+        f"{px.p95:.2f}",
+        f"{px.worst:.2f}",
+        f"{mm.rmse:.2f}",
+        f"{np.hypot(*bias.xy_px):.3f}",
+        str(camera.n_sightings),
+        f"{100 * camera.coverage:.0f} %",
+    )
+
+
+def _findings(verification: Verification) -> list[Text]:
+    if not verification.faults:
+        return [Text("The errors look like noise: no camera, marker set or lens that moved explains them.")]
+    lines = []
+    for fault in verification.faults:
+        gain = f"e_2D RMSE {fault.rmse_before_px:.3f} px, {fault.rmse_after_px:.3f} px when corrected"
+        lines.append(Text(f"It looks as if {fault.sentence}: {gain}.", style="bold"))
+        lines += [Text(f"  As possible: {other}.") for other in fault.also_possible]
+    return lines
+
+
+def _depth_lines(verification: Verification) -> list[Text]:
+    lines, check = [], verification.triangulation
+    if check.statistics is not None:
+        lines.append(
+            Text(
+                f"Triangulated from two cameras or more, {check.statistics.count} times: RMSE "
+                f"{check.depth_rmse_mm:.2f} mm in depth (mean {check.depth_bias_mm:+.2f}), "
+                f"{check.across_rmse_mm:.2f} mm across."
+            )
+        )
+    lines += [
+        Text(
+            f"Pose of the device in {pose.camera}, {pose.count} times: RMSE {pose.depth_rmse_mm:.2f} mm in depth, "
+            f"{pose.across_rmse_mm:.2f} mm across, {pose.rotation_rmse_deg:.3f} deg."
+        )
+        for pose in verification.pose_checks
+        if pose.count
+    ]
+    return lines
