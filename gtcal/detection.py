@@ -74,7 +74,7 @@ def detect(
         if view is not None and len(view.corner_ids)
     ]
     if not views:
-        _log.warning("%s", _why_none(name, board, [view.n_tags for view in seen if view is not None]))
+        _log.warning("%s", _why_none(name, board, camera, [view.n_tags for view in seen if view is not None]))
     return CameraDetections.from_views(views)
 
 
@@ -133,7 +133,7 @@ def _one_opencv_thread() -> Iterator[None]:
             cv2.setNumThreads(before)
 
 
-def _why_none(name: str, board: Board | Lollypop, n_tags: list[int]) -> str:
+def _why_none(name: str, board: Board | Lollypop, camera: Camera | None, n_tags: list[int]) -> str:
     """What to say where no image shows the board. n_tags: how many of its tags were read in each image."""
     # One or two of small codes are read by chance in any picture.
     some = sum(n >= min(3, len(board.tag_ids)) for n in n_tags)
@@ -142,9 +142,11 @@ def _why_none(name: str, board: Board | Lollypop, n_tags: list[int]) -> str:
             f"{name}: none of {len(n_tags)} images shows a tag of the board ({board.describe()}); "
             "check the board's dictionary and ids, and that the tags are large and sharp enough"
         )
+    lens = " and the camera's parameters" if camera is not None and camera.parameters is not None else ""
     return (
         f"{name}: none of {len(n_tags)} images shows the board ({board.describe()}), but {some} show some of its tags, "
         "in other places than on the board or only one at a time; check the board's columns, rows, sides and gaps"
+        + lens
     )
 
 

@@ -204,8 +204,8 @@ def test_pictures_without_a_board_give_no_corners(board: Board) -> None:
 )
 def test_another_board_gives_no_corners(shown: Board, sought: Board) -> None:
     filmer = Filmer(PINHOLE, seed=9)
-    for distance_m in (1.2, 1.6):
-        view = filmer.view(shown, distance_m)
+    for pitches in (10, 14):
+        view = filmer.view(shown, pitches * shown.pitch_m)
         assert len(detect_view(view.image, shown)[0]) > 30
         assert len(detect_view(view.image, sought)[0]) == 0
 
@@ -447,7 +447,7 @@ def test_the_real_aprilgrid(shared: Callable[[str], Path]) -> None:
             if corner_id in reference[stamp]:
                 distances.append(np.linalg.norm(corner_px - reference[stamp][corner_id]))
     assert sum(map(len, reference.values())) == 4008
-    assert len(distances) >= 3850
+    assert len(distances) >= 3800
     assert np.median(distances) < 0.15
     assert np.percentile(distances, 95) < 0.4
     assert (np.array(distances) > 1.0).sum() <= 20
