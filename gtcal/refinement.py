@@ -18,13 +18,12 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from factors.kernel import kernel
 from gtcal.camera import BoolArray, FloatArray
+from gtcal.images import GreyImage
 from gtcal.sight import BoardImage
 
-GreyImage = npt.NDArray[np.uint8]
 
 # Parameters of one corner: x, y, the normals' angles, the logarithms of the blurs, p0, p3, p1, p2; then, never free,
 # the edges' curvatures in 1/px towards their normals. A saddle frees the first eight: with p1 and p2 free it follows
