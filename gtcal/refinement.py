@@ -24,7 +24,6 @@ from gtcal.camera import BoolArray, FloatArray
 from gtcal.images import GreyImage
 from gtcal.sight import BoardImage
 
-
 # Parameters of one corner: x, y, the normals' angles, the logarithms of the blurs, p0, p3, p1, p2; then, never free,
 # the edges' curvatures in 1/px towards their normals. A saddle frees the first eight: with p1 and p2 free it follows
 # the light across the window instead of the corner.
