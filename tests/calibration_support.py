@@ -105,3 +105,9 @@ def worst(found: Iterable[tuple[float, float]]) -> tuple[float, float]:
     """The largest of the errors in mm, and of those in deg."""
     mm, deg = np.array(list(found)).max(axis=0)
     return float(mm), float(deg)
+
+
+def near(found: dict[str, tuple[float, float]], mm: float, deg: float) -> bool:
+    """Whether all errors are within these limits."""
+    worst_mm, worst_deg = worst(found.values())
+    return worst_mm < mm and worst_deg < deg

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from calibration_support import HEADSET, NO_MOCAP_NOISE, errors, simulated, with_exact_mocap, worst
+from calibration_support import HEADSET, NO_MOCAP_NOISE, errors, near, simulated, with_exact_mocap
 from scipy.spatial.transform import Rotation
 
 from factors import CAMERA_MODELS, PINHOLE_RADTAN
@@ -92,7 +92,7 @@ def test_a_headset_without_intrinsics_is_calibrated() -> None:
         difference = lens_difference_px(calibration.cameras[name].camera, truth.camera)
         assert np.median(difference) < 0.15
         assert np.quantile(difference, 0.95) < 0.5
-    assert worst(errors(calibration, simulation).values()) < (1.0, 0.1)
+    assert near(errors(calibration, simulation), mm=1.0, deg=0.1)
     assert [stage.name for stage in calibration.stages[:4]] == [f"intrinsics of {name}" for name in calibration.cameras]
 
 
@@ -180,7 +180,7 @@ def test_refinement_brings_wrong_intrinsics_to_the_truth(prior: str) -> None:
     options = CalibrationOptions(intrinsics="refine", intrinsics_prior=prior)
     refined = calibrate_observations(observations, options)
     assert refined.rmse_px < 0.3 < fixed.rmse_px
-    assert worst(errors(refined, simulation).values()) < (1.0, 0.1)
+    assert near(errors(refined, simulation), mm=1.0, deg=0.1)
     for name, truth in simulation.truth.cameras.items():
         stated = lens_difference_px(observations.views[name].camera, truth.camera)
         found = lens_difference_px(refined.cameras[name].camera, truth.camera)
