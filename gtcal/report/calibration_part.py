@@ -103,16 +103,17 @@ class CalibrationPart:
 
 
 def calibration_part(
-    calibration: Calibration, evidence: Evidence | None, *, progress: Progress = silent
+    calibration: Calibration, evidence: Evidence | None, *, verified: bool = False, progress: Progress = silent
 ) -> CalibrationPart:
-    """Prepare a calibration for the page; figures need the ``evidence`` of a recording."""
+    """Prepare a calibration for the page; figures need the ``evidence`` of a recording. ``verified``: whether the page
+    has an independent measurement, too."""
     names = list(calibration.cameras)
     colours = {name: CAMERA_COLOURS[index % len(CAMERA_COLOURS)] for index, name in enumerate(names)}
     rows = {name: _row(calibration, evidence, name, colours[name]) for name in names}
     pictures = _pictures(calibration, evidence, progress)
     return CalibrationPart(
         title=_title(calibration, evidence),
-        lead=_lead(calibration),
+        lead=_lead(calibration, verified=verified),
         tiles=_tiles(calibration),
         warnings=calibration.warnings,
         notes=_notes(calibration, evidence),
@@ -166,13 +167,18 @@ def _title(calibration: Calibration, evidence: Evidence | None) -> str:
     )
 
 
-def _lead(calibration: Calibration) -> str:
+def _lead(calibration: Calibration, *, verified: bool) -> str:
     """The page in one or two sentences."""
     warned = "with warnings, below" if calibration.warnings else "without warnings"
-    return (
-        f"Calibrated {warned}. A small residual says that the data agree with themselves; whether the calibration is "
-        "true, an independent recording has to show."
+    rest = (
+        ""
+        if verified
+        else (
+            " A small residual says that the data agree with themselves; whether the calibration is true, an "
+            "independent recording has to show."
+        )
     )
+    return f"Calibrated {warned}.{rest}"
 
 
 def _tiles(calibration: Calibration) -> tuple[Tile, ...]:
@@ -201,8 +207,8 @@ def _tiles(calibration: Calibration) -> tuple[Tile, ...]:
 def _sigma_tile(calibration: Calibration) -> Tile:
     sigmas = {
         name: (
-            _largest(camera.camera_T_ref.position_of_a_in_b_sigma_mm),
-            _largest(camera.camera_T_ref.rotation_sigma_deg),
+            largest(camera.camera_T_ref.position_of_a_in_b_sigma_mm),
+            largest(camera.camera_T_ref.rotation_sigma_deg),
         )
         for name, camera in calibration.cameras.items()
     }
@@ -315,7 +321,8 @@ def _vector(values: FloatArray | None, digits: int) -> str:
     return "" if values is None else "  ".join(f"{value + 0.0:.{digits}f}" for value in values)
 
 
-def _largest(values: FloatArray | None) -> float | None:
+def largest(values: FloatArray | None) -> float | None:
+    """... of the axes."""
     return None if values is None else float(values.max())
 
 

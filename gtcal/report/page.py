@@ -9,32 +9,61 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 from gtcal.calibration import Calibration
+from gtcal.errors import GtcalError
 from gtcal.files import write_text
 from gtcal.progress import Progress, silent
 from gtcal.report.calibration_part import calibration_part
 from gtcal.report.evidence import Evidence
+from gtcal.report.verification_part import verification_part
+from gtcal.verification import Verification
 
 
 def write_report(
-    path: Path, calibration: Calibration, *, evidence: Evidence | None = None, progress: Progress = silent
+    path: Path,
+    calibration: Calibration,
+    *,
+    evidence: Evidence | None = None,
+    verification: Verification | None = None,
+    progress: Progress = silent,
 ) -> None:
     """Write the report on a calibration. ``evidence``: its residuals on a recording (see ``gather_evidence``), without
-    which there are no figures of them.
+    which there are no figures of them. ``verification``: what an independent recording says of it.
 
-    Raises GtcalError where the file can't be written."""
-    write_text(path, render(calibration, evidence=evidence, progress=progress))
+    Raises GtcalError where the file can't be written, an image can't be read, or the verification is of cameras that
+    the calibration hasn't."""
+    text = render(calibration, evidence=evidence, verification=verification, progress=progress)
+    write_text(path, text)
 
 
-def render(calibration: Calibration, *, evidence: Evidence | None = None, progress: Progress = silent) -> str:
-    """The page as text."""
+def render(
+    calibration: Calibration,
+    *,
+    evidence: Evidence | None = None,
+    verification: Verification | None = None,
+    progress: Progress = silent,
+) -> str:
+    """The page as text. Raises as ``write_report``."""
+    if verification is not None:
+        _check_cameras(calibration, verification)
     environment = _environment()
     return environment.get_template("report.html.j2").render(
         calibration=calibration,
-        part=calibration_part(calibration, evidence, progress=progress),
+        part=calibration_part(calibration, evidence, verified=verification is not None, progress=progress),
+        verification=verification,
+        verified=verification_part(verification, calibration) if verification is not None else None,
         recording=evidence.recording if evidence is not None else None,
         style=_own_text(environment, "report.css"),
         script=_own_text(environment, "scene.js"),
     )
+
+
+def _check_cameras(calibration: Calibration, verification: Verification) -> None:
+    for name in verification.cameras:
+        if name not in calibration.cameras:
+            raise GtcalError(
+                f"the verification is of camera {name!r}, which the calibration hasn't; its cameras: "
+                f"{', '.join(calibration.cameras)}"
+            )
 
 
 def _environment() -> Environment:

@@ -49,7 +49,6 @@ _STYLE: Any = {
     "legend.frameon": False,
     "legend.fontsize": 8,
     "lines.linewidth": 1.4,
-    "figure.constrained_layout.use": True,
     "svg.fonttype": "none",
     "svg.hashsalt": "gtcal",
 }
@@ -71,10 +70,11 @@ class Picture:
 
 
 @contextmanager
-def styled_figure(width_in: float = 3.9, height_in: float = 3.0) -> Iterator[Figure]:
-    """A new figure; everything drawn inside has the common style."""
+def styled_figure(width_in: float = 3.9, height_in: float = 3.0, *, laid_out: bool = True) -> Iterator[Figure]:
+    """A new figure; everything drawn inside has the common style. ``laid_out``: its axes get the room that their
+    labels leave; else they stand where they are put."""
     with matplotlib.rc_context(_STYLE):
-        yield Figure(figsize=(width_in, height_in))
+        yield Figure(figsize=(width_in, height_in), layout="constrained" if laid_out else None)
 
 
 def picture(figure: Figure, title: str, caption: str) -> Picture:

@@ -1,0 +1,192 @@
+"""Figures of one camera's verification with the Lollypop."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch, Rectangle
+
+from gtcal.camera import Camera, FloatArray
+from gtcal.report.pictures import BLUE, INK, MUTED, VERMILION, Picture, picture, styled_figure
+from gtcal.report.plots import (
+    LEAST_SPAN_PX,
+    count_scale,
+    draw_arrows,
+    draw_bins,
+    evenly,
+    image_axes,
+    in_readable_unit,
+    vector_scatter,
+)
+from gtcal.report.residual_figures import PALE
+from gtcal.verification import (
+    ERROR_CLASS_LIMITS_PX,
+    CameraVerification,
+    ErrorClass,
+    ErrorCurve,
+    HeatMap,
+    Sightings,
+    TriangulationCheck,
+    VerificationOptions,
+)
+
+# The paper's colours, of different lightness, and the two bad ones hatched: nobody has to tell green from red.
+CLASS_COLOURS = {
+    ErrorClass.GREEN: "#7ccf8a",
+    ErrorClass.YELLOW: "#fff3a1",
+    ErrorClass.RED: "#d7402b",
+    ErrorClass.MAGENTA: "#8b1c8a",
+}
+_CLASS_HATCHES = {ErrorClass.RED: "////", ErrorClass.MAGENTA: "xxxx"}
+_FEWEST_FOR_ARROW = 3
+_MOST_DOTS = 600
+_CURVE_LABELS = {
+    "distance_m": "distance, m",
+    "viewing_angle_deg": "viewing angle, deg",
+    "field_angle_deg": "field angle, deg",
+}
+
+
+def verification_pictures(
+    found: CameraVerification, camera: Camera, sightings: Sightings | None, options: VerificationOptions
+) -> tuple[Picture, ...]:
+    """All figures of one camera; those of single sightings where there are any in memory."""
+    shown = [heat_map(found.heat_map, camera), mean_errors(found.heat_map, camera), curves(found.curves, options)]
+    if sightings is not None and len(sightings) > 0:
+        shown.append(over_time(sightings, options))
+        shown.append(vector_scatter(sightings.errors_px, "Error scatter", "Image centre less mocap centre", "sighting"))
+    return tuple(shown)
+
+
+def heat_map(found: HeatMap, camera: Camera) -> Picture:
+    """e_2D over the image in the paper's colours."""
+    with styled_figure() as figure:
+        axes = image_axes(figure, camera)
+        classes = found.classes
+        for row, column in np.argwhere(classes != ErrorClass.NONE):
+            axes.add_patch(_cell(found, row, column, ErrorClass(classes[row, column])))
+        _class_legend(figure)
+        return picture(
+            figure,
+            "Lollypop heat map",
+            "RMSE of e_2D per bin of the image; white: the device was not shown there.",
+        )
+
+
+def _cell(found: HeatMap, row: int, column: int, kind: ErrorClass) -> Rectangle:
+    left, right = found.x_edges_px[column : column + 2]
+    top, bottom = found.y_edges_px[row : row + 2]
+    return Rectangle((left, top), right - left, bottom - top, **_class_style(kind))
+
+
+def _class_style(kind: ErrorClass) -> dict[str, Any]:
+    hatch = _CLASS_HATCHES.get(kind, "")
+    edge = "white" if hatch else "#ffffffaa"
+    return {"facecolor": CLASS_COLOURS[kind], "edgecolor": edge, "hatch": hatch, "linewidth": 0.3}
+
+
+def _class_legend(figure: Figure) -> None:
+    low, middle, high = ERROR_CLASS_LIMITS_PX
+    names = (f"< {low:g} px", f"< {middle:g}", f"< {high:g}", "more")
+    handles = [Patch(label=name, **_class_style(kind)) for kind, name in zip(CLASS_COLOURS, names, strict=True)]
+    figure.legend(handles=handles, loc="outside upper center", ncols=4, columnspacing=1.0, handlelength=1.4)
+
+
+def mean_errors(found: HeatMap, camera: Camera) -> Picture:
+    """Mean error vectors on the count of the sightings: arrows that agree are no noise."""
+    counts, mean = _coarser(found)
+    x_edges, y_edges = _every_second(found.x_edges_px), _every_second(found.y_edges_px)
+    with styled_figure() as figure:
+        axes = image_axes(figure, camera)
+        draw_bins(axes, counts, x_edges, y_edges, "sightings in the bin", cmap=PALE, norm=count_scale(counts))
+        draw_arrows(axes, x_edges, y_edges, mean, counts >= _FEWEST_FOR_ARROW)
+        return picture(
+            figure,
+            "Mean error and count",
+            f"Image centre less mocap centre per bin with {_FEWEST_FOR_ARROW} or more sightings, enlarged (see the "
+            "key). All one way: the camera or its markers moved; in a whirl or a star: the lens.",
+        )
+
+
+def _coarser(found: HeatMap) -> tuple[FloatArray, list[FloatArray]]:
+    """Counts and mean vectors (columns, rows) of two by two bins each: single ones hold too few for a mean."""
+    counts = found.count.astype(np.float64)
+    sums = np.where(counts[..., None] > 0, found.mean_error_px * counts[..., None], 0.0)
+    n = _two_by_two(counts)
+    mean = [_two_by_two(sums[..., axis]) / np.maximum(n, 1.0) for axis in range(2)]
+    return n.T, [part.T for part in mean]
+
+
+def _two_by_two(values: FloatArray) -> FloatArray:
+    rows = np.add.reduceat(values, np.arange(0, values.shape[0], 2), axis=0)
+    return np.add.reduceat(rows, np.arange(0, values.shape[1], 2), axis=1)
+
+
+def _every_second(edges: FloatArray) -> FloatArray:
+    return np.append(edges[:-1:2], edges[-1])
+
+
+def curves(found: tuple[ErrorCurve, ...], options: VerificationOptions) -> Picture:
+    """RMSE in px and mm against distance, viewing angle and field angle."""
+    with styled_figure() as figure:
+        grid = figure.subplots(2, len(found), sharex="col", sharey="row", squeeze=False)
+        for column, curve in enumerate(found):
+            middle = 0.5 * (curve.edges[1:] + curve.edges[:-1])
+            _curve(grid[0, column], middle, curve.rmse_px, BLUE, options.max_rmse_px)
+            _curve(grid[1, column], middle, curve.rmse_mm, VERMILION, options.max_rmse_mm)
+            grid[1, column].set_xlabel(_CURVE_LABELS[curve.quantity])
+        grid[0, 0].set_ylabel("e_2D RMSE, px")
+        grid[1, 0].set_ylabel("e_3D RMSE, mm")
+        figure.align_ylabels()
+        return picture(
+            figure,
+            "Error against distance and angles",
+            "Dashed: tolerance. Viewing angle: from the face's normal; field angle: from the optical axis.",
+        )
+
+
+def _curve(axes: Axes, middle: FloatArray, rmse: FloatArray, colour: str, limit: float) -> None:
+    seen = ~np.isnan(rmse)
+    axes.plot(middle[seen], rmse[seen], "o-", color=colour, markersize=2.5)
+    axes.axhline(limit, color=INK, linestyle="--", linewidth=0.9)
+    axes.set_ylim(bottom=0.0)
+
+
+def over_time(sightings: Sightings, options: VerificationOptions) -> Picture:
+    """e_2D of each sighting: a jump is a bump, a slope is warming or sliding."""
+    pick = evenly(len(sightings), _MOST_DOTS)
+    times, unit = in_readable_unit((sightings.stamps_ns - sightings.stamps_ns[0]) * 1e-9)
+    e_2d_px = sightings.e_2d_px
+    with styled_figure() as figure:
+        axes = figure.add_subplot()
+        axes.plot(times[pick], e_2d_px[pick], ".", color=BLUE, markersize=4, alpha=0.6, markeredgewidth=0)
+        axes.axhline(options.max_rmse_px, color=INK, linestyle="--", linewidth=0.9)
+        axes.set(xlabel=f"time since the first sighting, {unit}", ylabel="e_2D, px")
+        axes.set_ylim(0.0, 1.1 * max(float(e_2d_px.max()), options.max_rmse_px))
+        axes.margins(x=0.01)
+        every = (
+            "Each dot is a sighting" if len(pick) == len(sightings) else f"{len(pick)} of {len(sightings)} sightings"
+        )
+        return picture(figure, "Error over time", f"{every}; dashed: tolerance of the RMSE.")
+
+
+def triangulation(check: TriangulationCheck) -> Picture:
+    """Triangulated less mocap centre: along the line of sight, where e_3D is blind, and across it."""
+    limit_mm = max(float(np.quantile(np.abs([check.depth_mm, check.across_mm]), 0.98)) * 1.1, LEAST_SPAN_PX)
+    edges = np.linspace(-limit_mm, limit_mm, 41)
+    with styled_figure() as figure:
+        upper, lower = figure.subplots(2, 1)
+        upper.hist(np.clip(check.depth_mm, -limit_mm, limit_mm), edges, color=BLUE, alpha=0.7)
+        upper.axvline(0.0, color=INK, linewidth=0.7)
+        upper.set(xlabel="depth error, mm (positive: farther)", ylabel="count")
+        lower.hist(np.clip(check.across_mm, 0.0, limit_mm), edges[20:], color=MUTED, alpha=0.8)
+        lower.set(xlabel="error across the line of sight, mm", ylabel="count")
+        return picture(
+            figure,
+            "Triangulated centre",
+            f"Where two or more cameras see a face at once ({len(check.stamps_ns)} times); the last bins hold what is "
+            "beyond.",
+        )
