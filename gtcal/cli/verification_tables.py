@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
 from rich import box
 from rich.console import Console, Group, RenderableType
 from rich.table import Table
@@ -24,6 +23,7 @@ def print_verification(verification: Verification, *, verbose: bool = False) -> 
     parts += [Text(f"  {reason}") for reason in verification.reasons]
     parts += [_table(verification), *_findings(verification), *_depth_lines(verification)]
     if verbose:
+        parts += [_bias_line(camera) for camera in verification.cameras.values()]
         parts += [Text(f"left out of {left.camera}: {left.count}: {left.reason}") for left in verification.left_out]
     parts += [Text(f"warning: {warning}", style="yellow") for warning in verification.warnings]
     Console().print(Group(*parts))
@@ -34,13 +34,13 @@ def _table(verification: Verification) -> Table:
     table = Table(
         box=box.SIMPLE_HEAD,
         padding=(0, 1, 0, 0),
-        caption=f"bounds of the RMSE at {100 * options.confidence:g} % each; n sightings in so much of the image; bias: "
-        f"length of the mean error. Tolerances: {options.max_rmse_px:g} px, {options.max_rmse_mm:g} mm RMSE",
+        caption=f"bounds of the RMSE at {100 * options.confidence:g} % each; n sightings in so much of the image. "
+        f"Tolerances: {options.max_rmse_px:g} px, {options.max_rmse_mm:g} mm RMSE",
         caption_justify="left",
     )
     table.add_column("camera", no_wrap=True)
     table.add_column("verdict", no_wrap=True)
-    for heading in ("RMSE px", "bounds", "95 %", "worst", "RMSE mm", "bias px", "n", "image"):
+    for heading in ("RMSE px", "bounds", "95 %", "worst", "RMSE mm", "n", "image"):
         table.add_column(heading, justify="right")
     for camera in verification.cameras.values():
         table.add_row(*_row(camera))
@@ -48,7 +48,7 @@ def _table(verification: Verification) -> Table:
 
 
 def _row(camera: CameraVerification) -> tuple[str | Text, ...]:
-    px, mm, bias = camera.px, camera.mm, camera.bias
+    px, mm = camera.px, camera.mm
     return (
         camera.camera,
         Text(str(camera.verdict), style=_STYLES[camera.verdict]),
@@ -57,9 +57,17 @@ def _row(camera: CameraVerification) -> tuple[str | Text, ...]:
         f"{px.p95:.2f}",
         f"{px.worst:.2f}",
         f"{mm.rmse:.2f}",
-        f"{np.hypot(*bias.xy_px):.3f}",
         str(camera.n_sightings),
         f"{100 * camera.coverage:.0f} %",
+    )
+
+
+def _bias_line(camera: CameraVerification) -> Text:
+    bias = camera.bias
+    (x, y), (dx, dy) = bias.xy_px, bias.xy_half_width_px
+    return Text(
+        f"bias of {camera.camera}, px: x {x:+.3f} ± {dx:.3f}, y {y:+.3f} ± {dy:.3f}, outwards {bias.radial_px:+.3f} ± "
+        f"{bias.radial_half_width_px:.3f}, around {bias.tangential_px:+.3f} ± {bias.tangential_half_width_px:.3f}"
     )
 
 
