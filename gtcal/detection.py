@@ -5,14 +5,10 @@ from __future__ import annotations
 import hashlib
 import json
 import logging
-import os
 import re
-from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor, as_completed
-from contextlib import contextmanager
+from concurrent.futures import as_completed
 from functools import lru_cache
 from pathlib import Path
-from threading import Lock
 from typing import Any
 
 import cv2
@@ -20,6 +16,7 @@ import numpy as np
 
 from gtcal.board import Board
 from gtcal.camera import Camera
+from gtcal.cores import all_cores
 from gtcal.detections import CameraDetections
 from gtcal.errors import GtcalError
 from gtcal.files import write_aside
@@ -35,7 +32,6 @@ CACHE_FOLDER = ".gtcal"
 _DETECTOR = ("board", "lens_guess", "local_warp", "refinement", "sight", "tags", "view_detection")
 
 _log = logging.getLogger("gtcal")
-_opencv_threads = Lock()
 
 
 def detect(
@@ -59,15 +55,11 @@ def detect(
         images = images.expecting(camera.image_width_px, camera.image_height_px)
     name = camera.name if camera is not None else "the images"
     seen: list[SeenBoard | None] = [None] * len(images)
-    with _one_opencv_thread(), ThreadPoolExecutor(workers or _n_cores()) as pool:
+    with all_cores(workers) as pool:
         jobs = {pool.submit(_see, images, index, board, camera): index for index in range(len(images))}
-        try:
-            for done, job in enumerate(as_completed(jobs), start=1):
-                seen[jobs[job]] = job.result()
-                progress(f"detecting the board in {name}", done, len(images))
-        except BaseException:
-            pool.shutdown(cancel_futures=True)
-            raise
+        for done, job in enumerate(as_completed(jobs), start=1):
+            seen[jobs[job]] = job.result()
+            progress(f"detecting the board in {name}", done, len(images))
     views = [
         (stamp, view.corner_ids, view.corners_px)
         for stamp, view in zip(images.stamps_ns.tolist(), seen, strict=True)
@@ -115,22 +107,6 @@ def _see(images: ImageSequence, index: int, board: Board | Lollypop, camera: Cam
     if isinstance(board, Lollypop):
         return see_lollypop(images.read(index), board, camera)
     return see_board(images.read(index), board, camera)
-
-
-def _n_cores() -> int:
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
-@contextmanager
-def _one_opencv_thread() -> Iterator[None]:
-    """OpenCV's own threads would compete with ours for the same cores."""
-    with _opencv_threads:
-        before = cv2.getNumThreads()
-        cv2.setNumThreads(1)
-        try:
-            yield
-        finally:
-            cv2.setNumThreads(before)
 
 
 def _why_none(name: str, board: Board | Lollypop, camera: Camera | None, n_tags: list[int]) -> str:
