@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import asdict, fields
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -32,6 +32,8 @@ from gtcal.trajectory import quaternions_from_poses
 
 SCHEMA_VERSION = 1
 
+_Made = TypeVar("_Made")
+
 CONVENTIONS = (
     "a_T_b takes coordinates in frame b to coordinates in frame a, in m. A covariance is that of xi in "
     "a_T_b * Exp(xi), the tangent of GTSAM's Pose3: rotation first (rad), then translation (m), along the axes of b. "
@@ -40,15 +42,16 @@ CONVENTIONS = (
 )
 
 
-def write_calibration(path: Path, calibration: Calibration) -> None:
+def write_calibration(path: Path | str, calibration: Calibration) -> None:
     """Write calibration.json, whole or not at all. Raises GtcalError where it can't be written."""
-    write_text(path, json.dumps(_document(calibration), indent=1, allow_nan=False) + "\n")
+    write_text(Path(path), json.dumps(_document(calibration), indent=1, allow_nan=False) + "\n")
 
 
-def read_calibration(path: Path) -> Calibration:
+def read_calibration(path: Path | str) -> Calibration:
     """Read what ``write_calibration`` wrote.
 
     Raises GtcalError for a file that is missing, no JSON, of a newer schema, or lacks a field."""
+    path = Path(path)
     document = _read_json(path)
     version = document.get("gtcal_calibration") if isinstance(document, dict) else None
     if not isinstance(version, int):
@@ -61,17 +64,21 @@ def read_calibration(path: Path) -> Calibration:
         return _calibration(document)
     except KeyError as error:
         raise GtcalError(f"{path}: the field {error.args[0]!r} is missing") from error
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, AttributeError) as error:
         raise GtcalError(f"{path}: a field has the wrong form: {error}") from error
 
 
 def _read_json(path: Path) -> Any:
     try:
-        return json.loads(path.read_text(encoding="utf-8"))
+        return json.loads(path.read_text(encoding="utf-8"), parse_constant=_refuse)
     except OSError as error:
         raise GtcalError(f"{path}: can't be read: {error.strerror}") from error
     except ValueError as error:
         raise GtcalError(f"{path}: is not valid JSON: {error}") from error
+
+
+def _refuse(constant: str) -> None:
+    raise ValueError(f"{constant} is no number of JSON")
 
 
 def _document(calibration: Calibration) -> dict[str, Any]:
@@ -147,10 +154,10 @@ def _calibration(document: Mapping[str, Any]) -> Calibration:
         cameras={name: _camera(name, block) for name, block in document["cameras"].items()},
         body_T_board=_pose(document["body_T_board"]),
         board=document["board"],
-        sigma_px=document["sigma_px"],
+        sigma_px=float(document["sigma_px"]),
         covariance_kind=document["covariance_kind"],
         stages=tuple(_stage(block) for block in document["stages"]),
-        dropped=tuple(Dropped(**block) for block in document["dropped"]),
+        dropped=tuple(_made(Dropped, block) for block in document["dropped"]),
         warnings=tuple(document["warnings"]),
         provenance=_provenance(document["provenance"]),
     )
@@ -165,7 +172,7 @@ def _camera(name: str, block: Mapping[str, Any]) -> CameraCalibration:
         camera=Camera(name, model, theta, width_px, height_px),
         camera_T_ref=_pose(block["camera_T_ref"]),
         theta_covariance=_array(block["parameter_covariance"], (len(theta), len(theta))),
-        residuals=ResidualStatistics(**block["residuals"]),
+        residuals=_made(ResidualStatistics, block["residuals"]),
     )
 
 
@@ -187,9 +194,14 @@ def _array(rows: Any, shape: tuple[int, ...]) -> FloatArray | None:
 
 def _stage(block: Mapping[str, Any]) -> StageReport:
     given: dict[str, Any] = {key: float("nan") if value is None else value for key, value in block.items()}
-    return StageReport(**given)
+    return _made(StageReport, given)
 
 
 def _provenance(block: Mapping[str, Any]) -> Provenance:
     inputs = tuple(InputFile(Path(entry["path"]), entry["sha256"]) for entry in block["inputs"])
-    return Provenance(**{**block, "inputs": inputs, "command_line": tuple(block["command_line"])})
+    return _made(Provenance, {**block, "inputs": inputs, "command_line": tuple(block["command_line"])})
+
+
+def _made(kind: type[_Made], block: Mapping[str, Any]) -> _Made:
+    """A dataclass from its fields; KeyError for the first that is missing."""
+    return kind(**{field.name: block[field.name] for field in fields(kind)})  # type: ignore[arg-type]
