@@ -1,28 +1,39 @@
-"""gtcal report: a calibration on one page."""
+"""gtcal report: a calibration, and its verification, on one page."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
+
+if TYPE_CHECKING:
+    from gtcal.calibration import Calibration
+    from gtcal.progress import Progress
+    from gtcal.verification import Verification
 
 
 def report(
     calibration: tyro.conf.Positional[Path],
     *,
     recording: Path | None = None,
+    verification: Path | None = None,
+    lollypop: Path | None = None,
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("report.html"),
     quiet: Annotated[bool, tyro.conf.arg(aliases=["-q"])] = False,
 ) -> None:
     """Show a calibration, and what it rests on, in one HTML file that needs no network.
 
     With the recording it was computed from: residuals over the image, the field angle and time, the image's coverage
-    and the board's poses in 3-D. With another recording of the same rig and board, the same as hold-out errors.
+    and the board's poses in 3-D. With another recording of the same rig and board, the same as hold-out errors. With a
+    verification: the verdict first, and heat maps; with the Lollypop's recording also its worst frames.
 
     Args:
         calibration: calibration.json.
         recording: Folder with the recording's manifest, or the manifest itself.
+        verification: verification.json, as 'gtcal verify' writes it.
+        lollypop: Folder or manifest of the Lollypop's recording, to verify again with (by the tolerances of
+            --verification, where given), which shows every sighting and the worst images.
         output: File to write.
         quiet: Show no progress and print nothing.
     """
@@ -33,8 +44,29 @@ def report(
 
     read = read_calibration(calibration)
     with shown_progress(quiet) as progress:
+        verified = _verification(calibration, read, verification, lollypop, progress)
         loaded = load_recording(recording) if recording is not None else None
         evidence = gather_evidence(read, loaded, progress=progress) if loaded is not None else None
-        write_report(output, read, evidence=evidence, progress=progress)
+        write_report(output, read, evidence=evidence, verification=verified, progress=progress)
     if not quiet:
         print(f"written: {output}")
+
+
+def _verification(
+    path: Path, calibration: Calibration, file: Path | None, lollypop: Path | None, progress: Progress
+) -> Verification | None:
+    """As read from its file, or again from its recording. ``path``: the calibration's."""
+    from gtcal.errors import GtcalError
+    from gtcal.files import fingerprint
+    from gtcal.lollypop_recording import load_lollypop_recording
+    from gtcal.verification_file import read_verification
+    from gtcal.verify import verify
+
+    read = read_verification(file) if file is not None else None
+    used = fingerprint(path)
+    if read is not None and used.sha256 not in {entry.sha256 for entry in read.provenance.inputs}:
+        raise GtcalError(f"{file}: is the verification of another calibration than {path}; verify this one")
+    if lollypop is None:
+        return read
+    options = read.options if read is not None else None
+    return verify(load_lollypop_recording(lollypop), calibration, options, progress=progress, inputs=(used,))

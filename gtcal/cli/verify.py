@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
+
+if TYPE_CHECKING:
+    from gtcal.calibration import Calibration
+    from gtcal.verification import Verification
 
 
 def verify(
@@ -13,13 +17,14 @@ def verify(
     recording: tyro.conf.Positional[Path],
     *,
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("verification.json"),
+    report: Path | None = None,
     sightings: Path | None = None,
     max_rmse_px: float = 0.5,
     max_rmse_mm: float = 1.0,
     confidence: float = 0.95,
     max_viewing_angle_deg: float = 60.0,
     min_sightings: int = 50,
-    min_coverage: float = 0.25,
+    min_coverage: float = 0.2,
     verbose: Annotated[bool, tyro.conf.arg(aliases=["-v"])] = False,
     quiet: Annotated[bool, tyro.conf.arg(aliases=["-q"])] = False,
 ) -> int:
@@ -41,6 +46,8 @@ def verify(
         calibration: calibration.json.
         recording: Folder with the manifest of the Lollypop's recording, or the manifest itself.
         output: File to write.
+        report: HTML file to write with the verdict's evidence: heat maps, worst images, errors over time (see
+            'gtcal report', which also adds the calibration's own recording).
         sightings: CSV to write with every single error.
         max_rmse_px: Tolerance on the distance of image centre and mocap centre in the image (e_2D, RMSE).
         max_rmse_mm: Tolerance on the same, carried out to the device's depth (e_3D, RMSE).
@@ -73,10 +80,18 @@ def verify(
     loaded = load_lollypop_recording(recording)
     with shown_progress(quiet) as progress:
         found = run(loaded, calibrated, options, progress=progress, inputs=(fingerprint(calibration),))
+        if report is not None:
+            _write_report(report, calibrated, found)
     write_verification(output, found)
     if sightings is not None:
         write_sightings(sightings, found)
     if not quiet:
         print_verification(found, verbose=verbose)
-        print(f"written: {output}" + (f", {sightings}" if sightings is not None else ""))
+        print("written: " + ", ".join(str(path) for path in (output, report, sightings) if path is not None))
     return found.verdict.exit_code
+
+
+def _write_report(path: Path, calibration: Calibration, verification: Verification) -> None:
+    from gtcal.report import write_report
+
+    write_report(path, calibration, verification=verification)

@@ -123,13 +123,13 @@ def verification_part(verification: Verification, calibration: Calibration) -> V
         poses=tuple(
             PoseRow(
                 check.camera,
-                f"{len(check.stamps_ns):,}",
-                f"{_rms(check.depth_mm):.3f}",
-                f"{_rms(check.across_mm):.3f}",
-                f"{_rms(check.rotation_deg):.4f}",
+                f"{check.count:,}",
+                f"{check.depth_rmse_mm:.3f}",
+                f"{check.across_rmse_mm:.3f}",
+                f"{check.rotation_rmse_deg:.4f}",
             )
             for check in verification.pose_checks
-            if len(check.stamps_ns)
+            if check.count
         ),
         device=verification.device.describe(),
         duration=f"{verification.duration_s:.0f} s",
@@ -210,22 +210,19 @@ def _finding(fault: Fault) -> str:
 def _missing(verification: Verification, worst_frames: tuple[Picture, ...]) -> tuple[str, ...]:
     if not verification.sightings:
         return (
-            "This verification was read from a file, which keeps its statistics: it has no figures of single sightings "
-            "and no worst frames. Make the report with --lollypop to see them.",
+            "This verification was read from a file, which keeps its statistics: it has no figures of "
+            "single sightings and no worst frames. Make the report with --lollypop to see them.",
         )
     return () if worst_frames else ("The Lollypop's recording has no images, so the worst frames can't be shown.",)
 
 
 def _triangulation_text(verification: Verification) -> str:
-    statistics = verification.triangulation.statistics
-    if statistics is None:
+    check = verification.triangulation
+    if check.statistics is None:
         return "No two cameras saw the device at once under enough parallax, so depth is untested."
+    found = check.statistics
+    text = f"Two or more cameras at once: {found.count:,} times, RMSE {found.rmse:.2f} mm, median {found.median:.2f} mm"
     return (
-        f"Two or more cameras at once: {statistics.count:,} times, RMSE {statistics.rmse:.2f} mm, median "
-        f"{statistics.median:.2f} mm; depth {_rms(verification.triangulation.depth_mm):.2f} mm RMS, across "
-        f"{_rms(verification.triangulation.across_mm):.2f} mm RMS."
+        f"{text}; depth {check.depth_rmse_mm:.2f} mm RMS (mean {check.depth_bias_mm:+.2f} mm), across the line "
+        f"of sight {check.across_rmse_mm:.2f} mm RMS."
     )
-
-
-def _rms(values: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(values**2)))
