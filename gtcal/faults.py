@@ -18,7 +18,7 @@ from scipy import stats
 from scipy.spatial.transform import Rotation
 
 from factors.rigid import inverse
-from gtcal.blocks import fit_covariance, sum_covariance
+from gtcal.blocks import fit_covariance
 from gtcal.calibration import Calibration
 from gtcal.camera import BoolArray, Camera, FloatArray
 from gtcal.capture import Capture
@@ -114,8 +114,10 @@ def find_faults(
         best = min(real, key=search.score)
         candidates = [candidate for candidate in candidates if candidate != best.candidate]
         still_real = search.real(candidates, best.state, level)
+        # Another explanation is as good where either correction leaves the other one nothing to explain.
         explained = [fit for fit in real if fit is not best and not _is_among(fit, still_real)]
-        faults.append(search.fault(best, explained))
+        as_good = [fit for fit in explained if not search.real([best.candidate], fit.state, level)]
+        faults.append(search.fault(best, as_good))
         real = still_real
     return tuple(faults)
 
@@ -192,7 +194,7 @@ class _Search:
         n = max(len(fit.loss) / fit.inflation, 2.0)
         return float(fit.loss.sum() + fit.inflation * 0.5 * fit.candidate.n_parameters * np.log(n))
 
-    def fault(self, best: _Fit, others: list[_Fit]) -> Fault:
+    def fault(self, best: _Fit, as_good: list[_Fit]) -> Fault:
         shift, turn, shift_sigma, turn_sigma = _sizes(best)
         return Fault(
             kind=best.candidate.kind,
@@ -206,18 +208,9 @@ class _Search:
             p_value=best.p_value,
             rmse_before_px=best.rmse_before_px,
             rmse_after_px=best.rmse_after_px,
-            also_possible=tuple(self._sentence(fit) for fit in others if not self._told_apart(best, fit)),
+            also_possible=tuple(self._sentence(fit) for fit in as_good),
             sentence=self._sentence(best),
         )
-
-    def _told_apart(self, best: _Fit, other: _Fit) -> bool:
-        """Whether the frames' losses are lower under ``best`` by more than chance gives them."""
-        gain = (other.loss - best.loss)[:, None]
-        of_sum = sum_covariance(gain, np.arange(len(gain)))
-        if of_sum is None or not gain.any():
-            return False
-        t = gain.sum() / np.sqrt(of_sum.covariance[0, 0])
-        return bool(stats.t.sf(t, of_sum.degrees_of_freedom) < 0.01)
 
     def _sentence(self, fit: _Fit) -> str:
         shift, turn, shift_sigma, turn_sigma = _sizes(fit)

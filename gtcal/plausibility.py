@@ -6,18 +6,18 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from factors.rigid import inverse
 from gtcal.calibration import Calibration
 from gtcal.camera import FloatArray
 from gtcal.capture import Capture
 from gtcal.errors import GtcalError
 from gtcal.lollypop import Lollypop
 from gtcal.lollypop_recording import LollypopRecording
-from gtcal.verification import Sightings
+from gtcal.sightings import Path3D
 
-# Beyond both of these nothing fits: a moved camera is off by a few pixels, a headset worn anew by ten.
-_GROSS_PX, _GROSS_RAD = 25.0, np.deg2rad(3.0)
+# Where every camera is off by more than this in the median, nothing fits: a headset worn anew is off by half a degree.
+_GROSS_RAD = np.deg2rad(3.0)
 _SAME_SIZE = 0.1
+_STILL_M = 0.005
 _FEWEST = 10
 # Of the spread of the device's path: what a rigid alignment may leave where body and device are the same thing.
 _RELATED = 0.25
@@ -63,27 +63,26 @@ def check_seen(recording: LollypopRecording, names: list[str]) -> None:
         )
 
 
-def check_related(sightings: Mapping[str, Sightings], device: Lollypop) -> None:
+def check_related(paths: Mapping[str, Path3D], device: Lollypop) -> None:
     """Raises GtcalError where the tag's size can't be what the device states, or where everything is so far off that
     the mocap's body is another one or the calibration is of another rig."""
-    seen = [s for s in sightings.values() if len(s)]
-    if sum(len(s) for s in seen) < _FEWEST:
+    seen = [path for path in paths.values() if len(path)]
+    if sum(len(path) for path in seen) < _FEWEST:
         return
-    if not all(_is_gross(s) for s in seen):
-        _check_size(np.concatenate([_size_ratios(s) for s in seen]), device)
+    if not all(path.angle_apart_rad > _GROSS_RAD for path in seen):
+        _check_size(np.concatenate([path.distance_ratios for path in seen]), device)
         return
-    largest = max(seen, key=len)
+    name, largest = max(paths.items(), key=lambda entry: len(entry[1]))
     scale, misfit = _similarity(largest)
     if misfit > _RELATED:
         raise GtcalError(
-            f"the mocap's body does not move as the device does in camera {largest.camera.name!r} (a rigid alignment "
-            f"leaves {100 * misfit:.0f} % of the path): was 'device_body' exported from another rigid body, or is the "
-            "clock another?"
+            f"the mocap's body does not move as the device does in camera {name!r}, not even about: was 'device_body' "
+            "exported from another rigid body, or is the clock another?"
         )
     _check_size(np.array([scale]), device)
-    median_px = float(np.median(np.concatenate([s.e_2d_px for s in seen])))
+    off_deg = np.rad2deg(np.median([path.angle_apart_rad for path in seen]))
     raise GtcalError(
-        f"all cameras are off by {median_px:.0f} px (median), although the mocap's body moves as the device does: the "
+        f"all cameras are off by about {off_deg:.0f} deg, although the mocap's body moves as the device does: the "
         "calibration is of another rig, or the platform's rigid body was defined anew since"
     )
 
@@ -107,22 +106,6 @@ def _check_camera(recording: LollypopRecording, calibration: Calibration, name: 
         )
 
 
-def _is_gross(seen: Sightings) -> bool:
-    """Whether the errors are large in px and against the device's distance."""
-    gross_px = float(np.median(seen.e_2d_px)) > _GROSS_PX
-    angle = np.arccos(np.clip((seen.image_bearings * _directions(seen.mocap_centre_in_camera_m)).sum(axis=1), -1, 1))
-    return gross_px and float(np.median(angle)) > _GROSS_RAD
-
-
-def _directions(points: FloatArray) -> FloatArray:
-    return points / np.linalg.norm(points, axis=1, keepdims=True)
-
-
-def _size_ratios(seen: Sightings) -> FloatArray:
-    """(S,) the mocap's distance over the one that the stated size gives."""
-    return np.asarray(seen.distance_m / np.linalg.norm(seen.tag_centre_in_camera_m, axis=1))
-
-
 def _check_size(ratios: FloatArray, device: Lollypop) -> None:
     ratio = float(np.median(ratios))
     if abs(np.log(ratio)) < np.log1p(_SAME_SIZE):
@@ -134,12 +117,12 @@ def _check_size(ratios: FloatArray, device: Lollypop) -> None:
     )
 
 
-def _similarity(seen: Sightings) -> tuple[float, float]:
+def _similarity(path: Path3D) -> tuple[float, float]:
     """The scale of the similarity that best takes the path by tag size and image to the mocap's (Umeyama 1991), and
-    what it leaves, as a share of the path's spread."""
-    ref_T_camera = inverse(seen.camera_T_ref)
-    path = seen.mocap_centre_in_camera_m @ ref_T_camera[:3, :3].T + ref_T_camera[:3, 3]
-    by_image, by_mocap = (points - np.median(points, axis=0) for points in (seen.tag_centre_in_camera_m, path))
+    what it leaves, as a share of the path's spread; infinite where the mocap's hardly moves."""
+    by_image, by_mocap = (points - np.median(points, axis=0) for points in (path.by_image_m, path.by_mocap_m))
+    if np.sqrt((by_mocap**2).sum(axis=1).mean()) < _STILL_M:
+        return 1.0, np.inf
     U, singular, Vt = np.linalg.svd(by_mocap.T @ by_image)
     sign = np.array([1.0, 1.0, np.sign(np.linalg.det(U @ Vt))])
     scale = float((singular * sign).sum() / (by_image**2).sum())

@@ -21,6 +21,30 @@ _FEWEST_CORNERS = 4
 
 
 @dataclass(frozen=True)
+class Path3D:
+    """Where one camera has the device, whether or not the two agree: N places in the camera frame.
+
+    by_image_m: (N, 3) by image and the face's stated size. by_mocap_m: (N, 3) by mocap and calibration."""
+
+    by_image_m: FloatArray
+    by_mocap_m: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.by_image_m)
+
+    @property
+    def distance_ratios(self) -> FloatArray:
+        """(N,) the mocap's distance over that by the stated size."""
+        return np.asarray(np.linalg.norm(self.by_mocap_m, axis=1) / np.linalg.norm(self.by_image_m, axis=1))
+
+    @property
+    def angle_apart_rad(self) -> float:
+        """Median angle between the two."""
+        cross = np.linalg.norm(np.cross(self.by_image_m, self.by_mocap_m), axis=1)
+        return float(np.median(np.arctan2(cross, (self.by_image_m * self.by_mocap_m).sum(axis=1))))
+
+
+@dataclass(frozen=True)
 class _Seen:
     """The faces in the views of one camera: G groups of corners, N corners sorted by view and face.
 
@@ -46,8 +70,9 @@ def sightings_of(
     frame_stamps_ns: IntArray,
     *,
     max_viewing_angle_deg: float,
-) -> tuple[Sightings, tuple[LeftOut, ...]]:
-    """The sightings of one camera, and what was left out and why.
+) -> tuple[Sightings, Path3D, tuple[LeftOut, ...]]:
+    """The sightings of one camera; its path of the device, also where image and mocap have nothing in common; and what
+    was left out and why.
 
     frame_stamps_ns: (F,) the distinct stamps of all cameras, increasing."""
     detections, device = recording.detections[name], recording.device
@@ -83,6 +108,7 @@ def sightings_of(
     in_camera = _mocap_centres(device, seen.face, poses, camera_T_ref)
     mocap_px, has_pixel = camera.project(in_camera)
     used = centres.ok & ~oblique
+    path = Path3D(centres.centre_in_camera_m[used], in_camera[used])
     leave_out("the mocap's centre is beyond the lens's field", used & ~has_pixel)
     used &= has_pixel
     # The centre lies between the corners, so where they have bearings it has a pixel, but for the field's very rim.
@@ -91,7 +117,7 @@ def sightings_of(
     leave_out("the image centre is beyond the lens's field", used & ~image_ok)
     used &= image_ok
     stamps_ns = detections.stamps_ns[seen.view]
-    return Sightings(
+    sightings = Sightings(
         camera=camera,
         camera_T_ref=camera_T_ref,
         stamps_ns=stamps_ns[used],
@@ -104,7 +130,8 @@ def sightings_of(
         mocap_centre_in_camera_m=in_camera[used],
         tag_centre_in_camera_m=centres.centre_in_camera_m[used],
         viewing_angle_rad=angle[used],
-    ), tuple(left_out)
+    )
+    return sightings, path, tuple(left_out)
 
 
 def n_frames(recording: LollypopRecording, name: str, frame_stamps_ns: IntArray) -> int:

@@ -86,7 +86,7 @@ class VerificationOptions:
     max_viewing_angle_deg: float = 60.0
     min_sightings: int = 50
     min_blocks: int = 8
-    min_coverage: float = 0.25
+    min_coverage: float = 0.2
     coverage_columns: int = 8
     coverage_rows: int = 6
     min_parallax_deg: float = 3.0

@@ -19,7 +19,7 @@ from gtcal.lollypop_recording import LollypopRecording, detected_lollypop
 from gtcal.plausibility import check_fitting, check_related, check_seen
 from gtcal.progress import Progress, silent
 from gtcal.provenance import provenance
-from gtcal.sightings import n_frames, sightings_of
+from gtcal.sightings import Path3D, n_frames, sightings_of
 from gtcal.verdict import camera_verdict, overall_verdict
 from gtcal.verification import (
     CameraVerification,
@@ -55,10 +55,11 @@ def verify(
     check_seen(recording, names)
     frames = np.unique(np.concatenate([_stamps_ns(recording, name) for name in names]))
     sightings: dict[str, Sightings] = {}
+    paths: dict[str, Path3D] = {}
     left_out: list[LeftOut] = []
     for done, name in enumerate(names):
         progress("comparing the centres", done, len(names))
-        sightings[name], reasons = sightings_of(
+        sightings[name], paths[name], reasons = sightings_of(
             recording,
             name,
             calibration.cameras[name],
@@ -67,7 +68,7 @@ def verify(
         )
         left_out += reasons
     progress("comparing the centres", len(names), len(names))
-    check_related(sightings, recording.device)
+    check_related(paths, recording.device)
     cameras = {name: _camera(recording, name, seen, frames, options) for name, seen in sightings.items()}
     triangulation, narrow = triangulate(sightings, options)
     absent = [name for name in calibration.cameras if name not in recording.cameras]

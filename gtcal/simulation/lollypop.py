@@ -48,7 +48,7 @@ class RigFault:
         bumped (or, with fixed cameras, the mocap's world was moved).
     cameras: by name (4, 4) with cameras[name] * camera_T_ref the camera's true extrinsic: the camera was moved.
     focal_shares: by name, by what share of itself the focal length grew: the lens warmed up.
-    device_centre_m: where the device's body has its origin, from the face's centre: a disc was lost.
+    device_centre_m: how far the device's faces lie from where they belong in its body: a disc was lost.
     """
 
     markers: FloatArray = field(default_factory=lambda: np.eye(4))
@@ -265,7 +265,7 @@ def _scene(options: LollypopOptions, rig: Rig, seed: int) -> Scene:
     scene = replace(
         own,
         rig_T_platform=base.rig_T_platform @ options.fault.markers,
-        boardbody_T_board=inverse(off) @ face.body_T_board,
+        boardbody_T_board=off @ face.body_T_board,
     )
     if options.capture is not Capture.FIXED_CAMERAS:
         return scene
