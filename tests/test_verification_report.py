@@ -19,6 +19,7 @@ from gtcal.lollypop_recording import LollypopRecording, load_lollypop_recording
 from gtcal.recording import load_recording
 from gtcal.report import render, write_report
 from gtcal.report.overlay import overlays
+from gtcal.report.scene import build_scene
 from gtcal.report.verification_figures import mean_errors
 from gtcal.simulation import SimulationOptions, quest3_like_rig, simulate, write_simulation
 from gtcal.simulation.lollypop import (
@@ -164,6 +165,15 @@ def test_mean_errors_are_those_of_the_sightings(case: Case) -> None:
     total = [(part * counts).sum() / counts.sum() for part in mean]
     np.testing.assert_allclose(total, case.verification.sightings[MOVED].errors_px.mean(axis=0), atol=1e-9)
     assert mean_errors(found, case.calibration.cameras[MOVED].camera).uri.startswith("data:image/")
+
+
+def test_the_scene_shows_where_the_lollypop_was_seen(case: Case) -> None:
+    colours = dict.fromkeys(case.calibration.cameras, "#000000")
+    lines = build_scene(case.calibration, None, colours, case.verification).lines
+    dots = np.array([line.points[0] for line in lines if line.layer == "lollypop"])
+    places_m = np.concatenate([found.ref_T_body[:, :3, 3] for found in case.verification.sightings.values()])
+    assert 0 < len(dots) <= len(places_m)
+    assert np.linalg.norm(dots[:, None] - places_m, axis=2).min(axis=1).max() < 2e-4
 
 
 def test_a_verification_of_other_cameras_is_refused(case: Case) -> None:

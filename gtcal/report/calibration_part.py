@@ -13,8 +13,9 @@ from gtcal.report.pictures import CAMERA_COLOURS, Picture
 from gtcal.report.residual_figures import covered_share, residual_pictures
 from gtcal.report.scene import BODY_NAMES, REF_NAMES, Scene, build_scene
 from gtcal.trajectory import quaternions_from_poses
+from gtcal.verification import Verification
 
-MOST_DETAILED_CAMERAS = 24
+MOST_DETAILED_CAMERAS = 12
 """Cameras with figures of their own: those that fit worst. More would make the page heavy and nobody would read it."""
 
 COVARIANCE_MEANINGS = {
@@ -103,17 +104,21 @@ class CalibrationPart:
 
 
 def calibration_part(
-    calibration: Calibration, evidence: Evidence | None, *, verified: bool = False, progress: Progress = silent
+    calibration: Calibration,
+    evidence: Evidence | None,
+    verification: Verification | None = None,
+    *,
+    progress: Progress = silent,
 ) -> CalibrationPart:
-    """Prepare a calibration for the page; figures need the ``evidence`` of a recording. ``verified``: whether the page
-    has an independent measurement, too."""
+    """Prepare a calibration for the page; figures need the ``evidence`` of a recording. The ``verification`` that
+    stands on the same page is seen in the 3-D view."""
     names = list(calibration.cameras)
     colours = {name: CAMERA_COLOURS[index % len(CAMERA_COLOURS)] for index, name in enumerate(names)}
     rows = {name: _row(calibration, evidence, name, colours[name]) for name in names}
     pictures = _pictures(calibration, evidence, progress)
     return CalibrationPart(
         title=_title(calibration, evidence),
-        lead=_lead(calibration, verified=verified),
+        lead=_lead(calibration, verified=verification is not None),
         tiles=_tiles(calibration),
         warnings=calibration.warnings,
         notes=_notes(calibration, evidence),
@@ -125,7 +130,7 @@ def calibration_part(
         board_pose=_board_pose(calibration),
         covariance_meaning=covariance_meaning(calibration),
         ref=REF_NAMES[calibration.capture],
-        scene=build_scene(calibration, evidence, colours),
+        scene=build_scene(calibration, evidence, colours, verification),
     )
 
 

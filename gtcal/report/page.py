@@ -48,7 +48,7 @@ def render(
     environment = _environment()
     return environment.get_template("report.html.j2").render(
         calibration=calibration,
-        part=calibration_part(calibration, evidence, verified=verification is not None, progress=progress),
+        part=calibration_part(calibration, evidence, verification, progress=progress),
         verification=verification,
         verified=verification_part(verification, calibration) if verification is not None else None,
         recording=evidence.recording if evidence is not None else None,

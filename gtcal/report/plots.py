@@ -112,7 +112,7 @@ def vector_scatter(vectors_px: FloatArray, title: str, what: str, of: str) -> Pi
     with styled_figure() as figure:
         axes = figure.add_subplot(aspect="equal")
         if few:
-            axes.plot(*vectors_px.T, ".", color=BLUE, markersize=3.5, alpha=0.6, markeredgewidth=0)
+            axes.plot(*vectors_px.T, ".", color=BLUE, markersize=4.5, alpha=0.6, markeredgewidth=0)
         else:
             _density(axes, vectors_px, limit_px, of)
         for share, style in ((0.5, "-"), (0.95, "--")):

@@ -14,13 +14,16 @@ from gtcal.calibration import Calibration
 from gtcal.camera import Camera, FloatArray
 from gtcal.capture import Capture
 from gtcal.report.evidence import Evidence
+from gtcal.verification import Verification
 
 _MOST_BOARDS = 24
 _MOST_PATH_POINTS = 400
+_MOST_DOTS = 250
 _EDGE_SAMPLES = 8
 _AXIS_COLOURS = ("#d55e00", "#009e73", "#0072b2")
 _AXIS_NAMES = ("x", "y", "z")
 _BOARD_COLOUR, _BODY_COLOUR, _REF_COLOUR = "#8a6d1f", "#5c6875", "#1c2733"
+_LOLLYPOP_COLOUR = "#e69f00"
 # What is farther off axis than this is drawn at this angle: a frustum of bearings to the side and behind confuses.
 _WIDEST_DRAWN_RAD = np.deg2rad(80.0)
 
@@ -65,8 +68,14 @@ class Scene:
         return asdict(self)
 
 
-def build_scene(calibration: Calibration, evidence: Evidence | None, colours: dict[str, str]) -> Scene:
-    """The scene in ref; board poses and the body's path need the evidence of a recording. ``colours``: by camera."""
+def build_scene(
+    calibration: Calibration,
+    evidence: Evidence | None,
+    colours: dict[str, str],
+    verification: Verification | None = None,
+) -> Scene:
+    """The scene in ref; board poses and the body's path need the evidence of a recording, the Lollypop's places the
+    sightings of a verification. ``colours``: by camera."""
     length_m = _frustum_length_m(calibration, evidence)
     lines = [line for name in calibration.cameras for line in _camera(calibration, name, length_m, colours[name])]
     lines += _axes("ref", np.eye(4), 0.6 * length_m, "ref", 2.2)
@@ -74,6 +83,9 @@ def build_scene(calibration: Calibration, evidence: Evidence | None, colours: di
     if evidence is not None:
         lines += _boards(calibration, evidence) + _body(evidence, 0.4 * length_m)
         layers |= {"boards": "board poses", "body": f"{BODY_NAMES[calibration.capture]} and its path"}
+    if verification is not None and verification.sightings:
+        lines += _lollypop(verification)
+        layers["lollypop"] = "the Lollypop"
     up = _up(calibration)
     return Scene(lines, layers, _rounded(up), _rounded(_back(calibration, up)))
 
@@ -125,6 +137,14 @@ def _body(evidence: Evidence, length_m: float) -> list[Line]:
     pick = np.unique(np.linspace(0, len(ref_T_body) - 1, _MOST_PATH_POINTS).astype(int))
     path = Line("body", _points(ref_T_body[pick, :3, 3]), _BODY_COLOUR, 0.8, 0.6)
     return [path, *_axes("body", ref_T_body[0], length_m, "body", 1.6)]
+
+
+def _lollypop(verification: Verification) -> list[Line]:
+    """Where it was seen: a dot a sighting, without a line, since it was not seen all the time."""
+    seen = verification.sightings.values()
+    places_m = np.concatenate([found.ref_T_body[:, :3, 3] for found in seen])
+    pick = np.unique(np.linspace(0, len(places_m) - 1, _MOST_DOTS).astype(int)) if len(places_m) else []
+    return [Line("lollypop", _points([place]), _LOLLYPOP_COLOUR, 3.4) for place in places_m[pick]]
 
 
 def _axes(layer: str, ref_T_frame: FloatArray, length_m: float, label: str, width: float) -> list[Line]:

@@ -40,7 +40,8 @@ CLASS_COLOURS = {
     ErrorClass.RED: "#d7402b",
     ErrorClass.MAGENTA: "#8b1c8a",
 }
-_CLASS_HATCHES = {ErrorClass.RED: "////", ErrorClass.MAGENTA: "xxxx"}
+_CLASS_HATCHES = {ErrorClass.RED: "///", ErrorClass.MAGENTA: "xxx"}
+_CELL_EDGE = "#5c687588"
 _FEWEST_FOR_ARROW = 3
 _MOST_DOTS = 600
 _CURVE_LABELS = {
@@ -84,7 +85,7 @@ def _cell(found: HeatMap, row: int, column: int, kind: ErrorClass) -> Rectangle:
 
 def _class_style(kind: ErrorClass) -> dict[str, Any]:
     hatch = _CLASS_HATCHES.get(kind, "")
-    edge = "white" if hatch else "#ffffffaa"
+    edge = "white" if hatch else _CELL_EDGE
     return {"facecolor": CLASS_COLOURS[kind], "edgecolor": edge, "hatch": hatch, "linewidth": 0.3}
 
 
@@ -140,6 +141,8 @@ def curves(found: tuple[ErrorCurve, ...], options: VerificationOptions) -> Pictu
             grid[1, column].set_xlabel(_CURVE_LABELS[curve.quantity])
         grid[0, 0].set_ylabel("e_2D RMSE, px")
         grid[1, 0].set_ylabel("e_3D RMSE, mm")
+        for row in range(2):
+            grid[row, 0].set_ylim(bottom=0.0)
         figure.align_ylabels()
         return picture(
             figure,
@@ -152,7 +155,6 @@ def _curve(axes: Axes, middle: FloatArray, rmse: FloatArray, colour: str, limit:
     seen = ~np.isnan(rmse)
     axes.plot(middle[seen], rmse[seen], "o-", color=colour, markersize=2.5)
     axes.axhline(limit, color=INK, linestyle="--", linewidth=0.9)
-    axes.set_ylim(bottom=0.0)
 
 
 def over_time(sightings: Sightings, options: VerificationOptions) -> Picture:
@@ -162,7 +164,7 @@ def over_time(sightings: Sightings, options: VerificationOptions) -> Picture:
     e_2d_px = sightings.e_2d_px
     with styled_figure() as figure:
         axes = figure.add_subplot()
-        axes.plot(times[pick], e_2d_px[pick], ".", color=BLUE, markersize=4, alpha=0.6, markeredgewidth=0)
+        axes.plot(times[pick], e_2d_px[pick], ".", color=BLUE, markersize=5, alpha=0.7, markeredgewidth=0)
         axes.axhline(options.max_rmse_px, color=INK, linestyle="--", linewidth=0.9)
         axes.set(xlabel=f"time since the first sighting, {unit}", ylabel="e_2D, px")
         axes.set_ylim(0.0, 1.1 * max(float(e_2d_px.max()), options.max_rmse_px))

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gtcal.calibration import Calibration
-from gtcal.report.calibration_part import Tile, largest
+from gtcal.report.calibration_part import MOST_DETAILED_CAMERAS, Tile, largest
 from gtcal.report.overlay import overlays
 from gtcal.report.pictures import Picture
 from gtcal.report.verification_figures import triangulation, verification_pictures
@@ -116,7 +116,7 @@ def verification_part(verification: Verification, calibration: Calibration) -> V
         tiles=_tiles(verification),
         notes=verification.warnings + _missing(verification, worst_frames),
         rows=tuple(rows.values()),
-        details=tuple(_details(verification, calibration, rows[name]) for name in verification.cameras),
+        details=tuple(_details(verification, calibration, rows[name]) for name in _detailed(verification)),
         overlays=worst_frames,
         triangulation=(triangulation(check),) if len(check.stamps_ns) else (),
         triangulation_text=_triangulation_text(verification),
@@ -186,6 +186,14 @@ def _sigma(calibration: Calibration, name: str) -> str:
     return "unknown" if mm is None or deg is None else f"{mm:.3f} mm, {deg:.4f} deg"
 
 
+def _detailed(verification: Verification) -> list[str]:
+    """The cameras that get figures, in their order: those with the largest errors; those without any come last."""
+    cameras = verification.cameras
+    by_rmse = sorted(cameras, key=lambda name: -np.nan_to_num(cameras[name].px.rmse, nan=-1.0))
+    worst = set(by_rmse[:MOST_DETAILED_CAMERAS])
+    return [name for name in cameras if name in worst]
+
+
 def _details(verification: Verification, calibration: Calibration, row: VerifiedRow) -> VerifiedCamera:
     found = verification.cameras[row.name]
     camera = calibration.cameras[row.name].camera
@@ -208,12 +216,20 @@ def _finding(fault: Fault) -> str:
 
 
 def _missing(verification: Verification, worst_frames: tuple[Picture, ...]) -> tuple[str, ...]:
+    notes = []
     if not verification.sightings:
-        return (
-            "This verification was read from a file, which keeps its statistics: it has no figures of "
-            "single sightings and no worst frames. Make the report with --lollypop to see them.",
+        notes.append(
+            "This verification was read from a file, which keeps its statistics: it has no figures of single sightings "
+            "and no worst frames. Make the report with --lollypop to see them."
         )
-    return () if worst_frames else ("The Lollypop's recording has no images, so the worst frames can't be shown.",)
+    elif not worst_frames:
+        notes.append("The Lollypop's recording has no images, so the worst frames can't be shown.")
+    if len(verification.cameras) > MOST_DETAILED_CAMERAS:
+        notes.append(
+            f"Figures are given for the {MOST_DETAILED_CAMERAS} of {len(verification.cameras)} verified cameras with "
+            "the largest errors."
+        )
+    return tuple(notes)
 
 
 def _triangulation_text(verification: Verification) -> str:
