@@ -10,7 +10,7 @@ from gtcal.progress import Progress, silent
 
 @contextmanager
 def shown_progress(quiet: bool = False) -> Iterator[Progress]:
-    """A bar for each piece of work, on stderr; nothing where ``quiet``."""
+    """A bar for each piece of work, on stderr; nothing where ``quiet``, or where stderr is no terminal but a log."""
     if quiet:
         yield silent
         return
@@ -18,7 +18,8 @@ def shown_progress(quiet: bool = False) -> Iterator[Progress]:
     from rich.progress import Progress as Bars
     from rich.progress import TaskID
 
-    with Bars(console=Console(stderr=True), transient=True) as bars:
+    console = Console(stderr=True)
+    with Bars(console=console, transient=True, disable=not console.is_terminal) as bars:
         tasks: dict[str, TaskID] = {}
 
         def show(what: str, done: int, total: int) -> None:
