@@ -85,6 +85,23 @@ def test_gross_views_are_shown_as_left_out(evidence: Evidence) -> None:
     assert left_out.min() > 2.0 * np.median(kept)
 
 
+def test_images_are_detected_with_the_recordings_own_lenses(
+    calibration: Calibration, recording: Recording, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Corners are kept for the lens that they were found with; the calibrated lens would have them detected anew."""
+    own = {name: replace(camera, parameters=None) for name, camera in recording.cameras.items()}
+    given: list[Recording] = []
+
+    def noted(asked: Recording, **_: object) -> Recording:
+        given.append(asked)
+        return asked
+
+    monkeypatch.setattr("gtcal.report.evidence.detected", noted)
+    found = gather_evidence(calibration, replace(recording, cameras=own))
+    assert given[0].cameras == own
+    assert found.cameras["cam0"].camera is calibration.cameras["cam0"].camera
+
+
 def test_another_recording_is_a_hold_out(folder: Path, calibration: Calibration, recording: Recording) -> None:
     other = SimulationOptions(rig=fixed_cameras_rig(2), capture=Capture.FIXED_CAMERAS, n_frames=20)
     write_simulation(simulate(other, seed=6), folder / "other", images=False)

@@ -109,8 +109,10 @@ def gather_evidence(calibration: Calibration, recording: Recording, *, progress:
 
     Raises GtcalError where the two are of different rigs: another capture, board, set of cameras or image size."""
     _check_same_rig(calibration, recording)
-    recording = detected(_with_calibrated_cameras(recording, calibration), progress=progress)
-    observations = synchronise(recording)
+    # With the recording's own lenses, as the calibration detected: what was found then is kept for them.
+    recording = detected(_with_cameras(recording, list(calibration.cameras)), progress=progress)
+    lenses = {name: calibrated.camera for name, calibrated in calibration.cameras.items()}
+    observations = synchronise(replace(recording, cameras=lenses))
     estimate = estimate_of(calibration)
     screening = screen if calibration.provenance.options.get("screen", True) else keep_all
     screened = screening(observations.views, estimate)
@@ -139,14 +141,13 @@ def estimate_of(calibration: Calibration) -> Estimate:
     )
 
 
-def _with_calibrated_cameras(recording: Recording, calibration: Calibration) -> Recording:
-    """The recording with the calibration's cameras, and only those."""
-    cameras = {name: calibrated.camera for name, calibrated in calibration.cameras.items()}
+def _with_cameras(recording: Recording, names: list[str]) -> Recording:
+    """The recording with these of its cameras only."""
     return replace(
         recording,
-        cameras=cameras,
-        detections={name: found for name, found in recording.detections.items() if name in cameras},
-        images={name: images for name, images in recording.images.items() if name in cameras},
+        cameras={name: recording.cameras[name] for name in names},
+        detections={name: found for name, found in recording.detections.items() if name in names},
+        images={name: images for name, images in recording.images.items() if name in names},
     )
 
 

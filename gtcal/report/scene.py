@@ -143,7 +143,7 @@ def _lollypop(verification: Verification) -> list[Line]:
     """Where it was seen: a dot a sighting, without a line, since it was not seen all the time."""
     seen = verification.sightings.values()
     places_m = np.concatenate([found.ref_T_body[:, :3, 3] for found in seen])
-    pick = np.unique(np.linspace(0, len(places_m) - 1, _MOST_DOTS).astype(int)) if len(places_m) else []
+    pick = np.unique(np.linspace(0, len(places_m) - 1, min(_MOST_DOTS, len(places_m))).astype(int))
     return [Line("lollypop", _points([place]), _LOLLYPOP_COLOUR, 3.4) for place in places_m[pick]]
 
 
