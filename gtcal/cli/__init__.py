@@ -14,6 +14,7 @@ COMMANDS = {
     "board": "draw a calibration board to scale",
     "calibrate": "find every camera's extrinsic and the board-to-body transform from a recording",
     "verify": "test a calibration with an independent recording of the Lollypop",
+    "drift": "verify a calibration over successive recordings of the Lollypop",
     "report": "show a calibration, what it rests on and its verification on one HTML page",
     "detect": "find the board in a recording's images, and keep the corners",
     "simulate": "simulate a recording with known ground truth",

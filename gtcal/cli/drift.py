@@ -1,0 +1,121 @@
+"""gtcal drift: a calibration over successive recordings."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from gtcal.drift import Drift
+
+
+def drift(
+    calibration: tyro.conf.Positional[Path],
+    recordings: tyro.conf.Positional[tuple[Path, ...]],
+    *,
+    output: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("drift.json"),
+    csv: Path | None = None,
+    figure: Path | None = None,
+    max_rmse_px: float = 0.5,
+    max_rmse_mm: float = 1.0,
+    confidence: float = 0.95,
+    quiet: Annotated[bool, tyro.conf.arg(aliases=["-q"])] = False,
+) -> int:
+    """Verify a calibration with successive recordings of the Lollypop: when did it cease to hold, and is it on its way?
+
+    Prints a table (RMSE of every camera in every recording), the first recording that fails and what it looks like, and
+    whether the errors grow from recording to recording by more than chance. Exit codes as of 'gtcal verify', over all
+    recordings: 0 all pass, 3 one fails, 4 one can't tell.
+
+        gtcal drift calibration.json monday tuesday wednesday --figure drift.png
+
+    Args:
+        calibration: calibration.json.
+        recordings: Folders of Lollypop recordings, in the order in which they were taken.
+        output: JSON file to write.
+        csv: CSV file to write, a row per recording and camera.
+        figure: Figure to write: .png, .svg or .pdf. RMSE in px and mm with its bounds.
+        max_rmse_px: Tolerance on e_2D, as of 'gtcal verify'.
+        max_rmse_mm: Tolerance on e_3D.
+        confidence: Of the bounds.
+        quiet: Show no progress and print nothing; the exit code tells.
+    """
+    import time
+
+    from gtcal.calibration_file import read_calibration
+    from gtcal.cli.progress import shown_progress
+    from gtcal.drift import verify_series, write_drift_csv, write_drift_json
+    from gtcal.drift_figure import draw_drift
+    from gtcal.files import fingerprint
+    from gtcal.lollypop_recording import load_lollypop_recording
+    from gtcal.provenance import provenance
+    from gtcal.verification import VerificationOptions
+
+    started = time.perf_counter()
+    options = VerificationOptions(max_rmse_px=max_rmse_px, max_rmse_mm=max_rmse_mm, confidence=confidence)
+    calibrated = read_calibration(calibration)
+    loaded = [(str(path), load_lollypop_recording(path)) for path in recordings]
+    own = fingerprint(calibration)
+    with shown_progress(quiet) as progress:
+        found = verify_series(loaded, calibrated, options, progress=progress, inputs=(own,))
+    inputs = (own, *(entry for _, recording in loaded for entry in recording.inputs))
+    write_drift_json(output, found, provenance(options, inputs, time.perf_counter() - started))
+    if csv is not None:
+        write_drift_csv(csv, found)
+    if figure is not None:
+        draw_drift(figure, found)
+    if not quiet:
+        _print(found)
+        print("written: " + ", ".join(str(path) for path in (output, csv, figure) if path is not None))
+    return found.verdict.exit_code
+
+
+def _print(found: Drift) -> None:
+    from rich.console import Console
+    from rich.text import Text
+
+    console = Console()
+    console.print(_table(found))
+    first = found.first_failing
+    if first is None:
+        console.print("No recording fails.")
+    else:
+        console.print(Text(f"The first to fail is {found.names[first]}.", style="bold red"))
+        for fault in found.verifications[first].faults:
+            console.print(Text(f"It looks as if {fault.sentence}."))
+    for trend in found.trends:
+        if trend.significant:
+            direction = "grows" if trend.slope_per_recording > 0 else "falls"
+            console.print(
+                Text(
+                    f"Trend: the RMSE of {trend.camera} {direction} by {abs(trend.slope_per_recording):.3f} "
+                    f"± {trend.slope_sigma_per_recording:.3f} {trend.unit} per recording (p = {trend.p_value:.1g})."
+                )
+            )
+    if not any(trend.significant for trend in found.trends):
+        console.print("No trend that chance doesn't explain.")
+
+
+def _table(found: Drift) -> Table:
+    from rich import box
+    from rich.table import Table
+
+    table = Table(
+        box=box.SIMPLE_HEAD,
+        caption=f"RMSE in px; tolerances {found.options.max_rmse_px:g} px, {found.options.max_rmse_mm:g} mm",
+        caption_justify="left",
+    )
+    table.add_column("recording")
+    table.add_column("verdict", no_wrap=True)
+    for camera in found.cameras:
+        table.add_column(camera, justify="right")
+    table.add_column("all, mm", justify="right")
+    for name, verification in zip(found.names, found.verifications, strict=True):
+        cameras = (verification.cameras.get(camera) for camera in found.cameras)
+        errors = ["-" if camera is None else f"{camera.px.rmse:.3f}" for camera in cameras]
+        table.add_row(name, str(verification.verdict), *errors, f"{verification.pooled_mm.rmse:.3f}")
+    return table
