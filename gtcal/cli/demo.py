@@ -1,11 +1,20 @@
-"""gtcal demo: the whole way on a rendered recording, and how far the answer is from the truth."""
+"""gtcal demo: the whole way on rendered recordings: calibration, verdict, report, and the distance to the truth."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
+
+if TYPE_CHECKING:
+    from gtcal.calibration import Calibration
+    from gtcal.progress import Progress
+    from gtcal.recording import Recording
+    from gtcal.simulation import Simulation
+    from gtcal.verification import Verification
+
+MOCAP_MM, MOCAP_DEG = 0.05, 0.005
 
 
 def demo(
@@ -16,41 +25,74 @@ def demo(
     seed: int = 1,
     quiet: Annotated[bool, tyro.conf.arg(aliases=["-q"])] = False,
 ) -> None:
-    """Render a small recording, detect the board in it, calibrate, and compare with the truth.
+    """Render two small recordings, calibrate from one, verify with the other, and compare with the truth.
 
-    The recording is that of a headset with four fisheye cameras (the front pair with a real Quest 3's lenses) and the
-    paper's A2 board, both tracked by a mocap with 0.05 mm and 0.005 deg of noise. The folder it leaves behind is a
-    recording like any other: look at its manifest and images, and run 'gtcal calibrate' on it yourself.
+    The first is that of a headset with four fisheye cameras (the front pair with a real Quest 3's lenses) and the
+    paper's A2 board, both tracked by a mocap with 0.05 mm and 0.005 deg of noise; the second shows the same headset
+    the Lollypop. The folder they leave behind holds recordings like any other: look at their manifests and images,
+    and run 'gtcal calibrate' and 'gtcal verify' on them yourself.
 
     Args:
-        output: Folder for the recording and its calibration.json; it must be new, empty, or of an earlier demo.
-        frames: Frames per camera.
+        output: Folder for the recordings, calibration.json, verification.json and report.html; it must be new, empty,
+            or of an earlier demo.
+        frames: Frames per camera of the calibration's recording; the Lollypop's has two and a half times as many.
         image_scale: Size of the images as a share of 1280 x 1024.
-        seed: Another number, another recording.
+        seed: Another number, other recordings.
         quiet: Show no progress and print nothing.
     """
     from gtcal.calibration_file import write_calibration
     from gtcal.cli.progress import shown_progress
     from gtcal.cli.tables import print_calibration, print_errors
+    from gtcal.cli.verification_tables import print_verification
     from gtcal.options import CalibrationOptions, MocapSigmas
-    from gtcal.recording import load_recording
-    from gtcal.simulation import MocapNoise, SimulationOptions, quest3_like_rig, simulate, write_simulation
+    from gtcal.report import gather_evidence, write_report
+    from gtcal.simulation import MocapNoise, SimulationOptions, quest3_like_rig, simulate
+    from gtcal.verification_file import write_verification
     from gtcal.workflow import calibrate
 
     _clear_earlier_demo(output)
-    noise = MocapNoise(translation_mm=0.05, rotation_deg=0.005)
-    options = SimulationOptions(rig=quest3_like_rig().scaled(image_scale), n_frames=frames, mocap=noise)
+    options = SimulationOptions(
+        rig=quest3_like_rig().scaled(image_scale), n_frames=frames, mocap=MocapNoise(MOCAP_MM, MOCAP_DEG)
+    )
     simulation = simulate(options, seed=seed)
+    known = CalibrationOptions(mocap=MocapSigmas(MOCAP_MM, MOCAP_DEG))
     with shown_progress(quiet) as progress:
-        manifest = write_simulation(simulation, output, images=True, progress=progress)
-        (output / _MARK).touch()
-        known = CalibrationOptions(mocap=MocapSigmas(noise.translation_mm, noise.rotation_deg))
-        calibration = calibrate(load_recording(manifest), known, progress=progress)
+        recording = _recorded(simulation, output / "recording", progress)
+        calibration = calibrate(recording, known, progress=progress)
+        verification = _verified(simulation, calibration, output / "lollypop", round(2.5 * frames), progress)
+        evidence = gather_evidence(calibration, recording, progress=progress)
+        write_report(output / "report.html", calibration, evidence=evidence, verification=verification)
     write_calibration(output / "calibration.json", calibration)
+    write_verification(output / "verification.json", verification)
+    (output / _MARK).touch()
     if not quiet:
         print_calibration(calibration, verbose=True)
         print_errors(calibration, simulation.truth)
-        print(f"recording and result: {output}/ (try: gtcal calibrate {output} --refine-intrinsics)")
+        print_verification(verification)
+        print(f"report: {output / 'report.html'}   (recordings and results: {output}/)")
+
+
+def _recorded(simulation: Simulation, folder: Path, progress: Progress) -> Recording:
+    """What the detector finds in the simulation's images."""
+    from gtcal.recording import load_recording
+    from gtcal.simulation import write_simulation
+    from gtcal.workflow import detected
+
+    manifest = write_simulation(simulation, folder, images=True, progress=progress)
+    return detected(load_recording(manifest), progress=progress)
+
+
+def _verified(
+    simulation: Simulation, calibration: Calibration, folder: Path, frames: int, progress: Progress
+) -> Verification:
+    from gtcal.lollypop_recording import load_lollypop_recording
+    from gtcal.simulation.lollypop import LollypopOptions, simulate_lollypop, write_lollypop_simulation
+    from gtcal.verify import verify
+
+    options = LollypopOptions(rig=simulation.options.rig, calibrated_in=simulation.scene, n_frames=frames)
+    lollypop = simulate_lollypop(options, seed=simulation.seed + 1)
+    manifest = write_lollypop_simulation(lollypop, folder, images=True, progress=progress)
+    return verify(load_lollypop_recording(manifest), calibration, progress=progress)
 
 
 _MARK = ".gtcal-demo"
@@ -60,5 +102,9 @@ def _clear_earlier_demo(folder: Path) -> None:
     """Empty the folder of an earlier demo, which bears a mark; any other folder is left to its owner."""
     import shutil
 
+    from gtcal.errors import GtcalError
+
     if (folder / _MARK).is_file():
         shutil.rmtree(folder)
+    elif folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise GtcalError(f"{folder}: is there already, and not from an earlier demo; choose another with -o")
