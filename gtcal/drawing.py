@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import struct
 import zlib
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from xml.sax.saxutils import escape
 
@@ -107,37 +107,65 @@ def draw_board(board: Board, path: Path, *, page: str | None = None, dpi: int = 
 
     Returns what was drawn. Raises GtcalError where the suffix is another, the page is unknown or too small, or the file
     can't be written."""
-    writers: dict[str, Callable[[Sheet], bytes]] = {
-        ".pdf": _pdf,
-        ".svg": _svg,
-        ".png": lambda sheet: _png(sheet, dpi),
-    }
-    if path.suffix.lower() not in writers:
+    check_figure(path, dpi)
+    sheet = sheet_of(board, page)
+    write_sheet(sheet, path, dpi=dpi)
+    return sheet
+
+
+def check_figure(path: Path, dpi: int) -> None:
+    """Raises GtcalError where ``write_sheet`` knows no such suffix or resolution."""
+    if path.suffix.lower() not in (".pdf", ".svg", ".png"):
         raise GtcalError(f"{path}: can't draw a {path.suffix or 'file without suffix'}; expected .pdf, .svg or .png")
     if not 30 <= dpi <= 2400:
         raise GtcalError(f"dpi is {dpi}; expected 30 to 2400")
-    sheet = sheet_of(board, page)
+
+
+def write_sheet(sheet: Sheet, path: Path, *, dpi: int) -> None:
+    """Write a page as .pdf, .svg or .png, whole or not at all.
+
+    Raises GtcalError where the suffix is another, or the file can't be written."""
+    check_figure(path, dpi)
+    writers: dict[str, Callable[[Sheet], bytes]] = {
+        ".pdf": _pdf,
+        ".svg": _svg,
+        ".png": lambda page: _png(page, dpi),
+    }
     drawn = writers[path.suffix.lower()](sheet)
     with write_aside(path, binary=True) as file:
         file.write(drawn)
-    return sheet
 
 
 def sheet_of(board: Board, page: str | None = None) -> Sheet:
     """Lay a board out on a page (see ``draw_board``), the pattern in the middle.
 
     Raises GtcalError where the page is unknown or too small."""
-    width_m, height_m = _page_m(board, page)
-    x_min, y_min, x_max, y_max = board.bounds_m
+    return lay_out(board.black_rectangles_m, (), board.bounds_m, board.describe(), page)
+
+
+def lay_out(
+    rectangles_m: FloatArray,
+    texts: Sequence[Text],
+    bounds_m: tuple[float, float, float, float],
+    what: str,
+    page: str | None = None,
+) -> Sheet:
+    """A drawing (rectangles (R, 4), texts and bounds in a frame of its own) in the middle of a page, with the ruler and
+    a caption that says ``what`` it is.
+
+    Raises GtcalError where the page is unknown or too small."""
+    x_min, y_min, x_max, y_max = bounds_m
+    width_m, height_m = _page_m(x_max - x_min, y_max - y_min, page)
     origin = ((width_m - x_min - x_max) / 2, (height_m - y_min - y_max) / 2)
-    caption = f"gtcal: {board.describe()}. Print at 100 %: the ruler must measure {_RULER_M / _MM:g} mm."
+    caption = f"gtcal: {what}. Print at 100 %: the ruler must measure {_RULER_M / _MM:g} mm."
     size_m = min(_TEXT_M, (width_m - 2 * _SIDE_MARGIN_M) / (_LETTER_WIDTH * len(caption)))
     end_m = _SIDE_MARGIN_M + _RULER_M + 1.5 * _MM
     return Sheet(
         width_m,
         height_m,
-        np.concatenate([board.black_rectangles_m + np.tile(origin, 2), _ruler()]),
+        np.concatenate([rectangles_m + np.tile(origin, 2), _ruler()]),
         (
+            *(replace(text, x_m=text.x_m + origin[0], y_m=text.y_m + origin[1]) for text in texts),
             Text(_SIDE_MARGIN_M, _CAPTION_Y_M, size_m, caption),
             Text(end_m, _RULER_Y_M, _TEXT_M, f"{_RULER_M / _MM:g} mm"),
         ),
@@ -145,9 +173,9 @@ def sheet_of(board: Board, page: str | None = None) -> Sheet:
     )
 
 
-def _page_m(board: Board, page: str | None) -> tuple[float, float]:
+def _page_m(board_width_m: float, board_height_m: float, page: str | None) -> tuple[float, float]:
     """Width and height of the page, turned as the pattern fits."""
-    needed_m = (board.width_m + 2 * _SIDE_MARGIN_M, board.height_m + 2 * _STRIP_M)
+    needed_m = (board_width_m + 2 * _SIDE_MARGIN_M, board_height_m + 2 * _STRIP_M)
     for width_mm, height_mm in ISO_PAGES_MM.values() if page is None else [_page_mm(page)]:
         for width, height in ((width_mm, height_mm), (height_mm, width_mm)):
             if needed_m[0] <= width * _MM and needed_m[1] <= height * _MM:

@@ -20,6 +20,7 @@ def board(
     preset: Literal["paper_a2"] | None = None,
     type: BoardType | None = None,
     file: Path | None = None,
+    lollypop: bool = False,
     dictionary: str | None = None,
     family: str | None = None,
     tag_columns: int | None = None,
@@ -53,6 +54,8 @@ def board(
             that every tag corner is as sharp as a chessboard's.
         type: 'aruco_grid': tags of an OpenCV dictionary. 'aprilgrid': Kalibr's. 'charuco': OpenCV's ChArUco board.
         file: YAML file with a board block as in a recording's manifest.
+        lollypop: Draw the device to verify with, the paper's or with --file one described there: its tag, and where its
+            retroreflective discs go.
         dictionary: aruco_grid and charuco: OpenCV's name, as DICT_4X4_50.
         family: aprilgrid: AprilTag family (default 36h11).
         tag_columns: aruco_grid, aprilgrid: tags across.
@@ -74,6 +77,9 @@ def board(
     """
     from gtcal.drawing import draw_board
 
+    if lollypop:
+        _draw_lollypop(output, file, page, dpi, quiet)
+        return
     given = {
         "type": type,
         "dictionary": dictionary,
@@ -126,3 +132,18 @@ def _manifest_lines(board: Board) -> str:
     presets = [name for name, known in PRESETS.items() if known == board]
     block = {"preset": presets[0]} if presets else board.to_manifest()
     return str(yaml.safe_dump({"board": block}, sort_keys=False))
+
+
+def _draw_lollypop(output: Path, file: Path | None, page: str | None, dpi: int, quiet: bool) -> None:
+    import yaml
+
+    from gtcal.lollypop import DEVICE_PRESETS, PAPER_LOLLYPOP
+    from gtcal.lollypop_drawing import draw_lollypop
+    from gtcal.lollypop_recording import read_device
+
+    device = DEVICE_PRESETS[PAPER_LOLLYPOP] if file is None else read_device(file)
+    sheet = draw_lollypop(device, output, page=page, dpi=dpi)
+    if not quiet:
+        print(f"{output}: {device.describe()}, on {1000 * sheet.width_m:g} x {1000 * sheet.height_m:g} mm")
+        print("Print at 100 %, measure the ruler, and put the discs on the circles. In the recording's manifest:\n")
+        print(yaml.safe_dump({"device": device.to_manifest()}, sort_keys=False))
