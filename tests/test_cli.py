@@ -243,22 +243,23 @@ def test_schema_is_json_on_the_screen_and_in_a_file(tmp_path: Path) -> None:
 
 
 def test_demo_shows_all_of_it_and_how_far_from_the_truth(tmp_path: Path) -> None:
-    """Rendered images, detected and calibrated; then the folder is a recording like any other."""
-    ran = run("demo", "-o", tmp_path / "demo", "--frames", 14, "--image-scale", 0.3)
+    """Rendered images, detected, calibrated and verified; then the recording is one like any other."""
+    ran = run("demo", "-o", tmp_path / "demo", "--frames", 12, "--image-scale", 0.3)
     assert (ran.code, ran.err) == (0, "")
     assert "difference from the truth" in ran.out
-    assert {"recording.yaml", "ground_truth.json", "calibration.json"} <= files_in(tmp_path / "demo")
+    results = {"calibration.json", "verification.json", "report.html"}
+    assert results | {"recording/recording.yaml", "recording/ground_truth.json"} <= files_in(tmp_path / "demo")
     calibration = read_calibration(tmp_path / "demo" / "calibration.json")
     assert all(camera.residuals.rmse_px < 0.15 for camera in calibration.cameras.values())
 
-    detected = run("detect", tmp_path / "demo", "-o", tmp_path / "corners")
+    detected = run("detect", tmp_path / "demo" / "recording", "-o", tmp_path / "corners")
     assert detected.code == 0
-    recording = load_recording(tmp_path / "demo")
+    recording = load_recording(tmp_path / "demo" / "recording")
     for name, camera in recording.cameras.items():
         corners = read_detections(tmp_path / "corners" / f"{name}.csv", recording.board, camera)
         assert name in detected.out
         assert str(corners.n_corners) in detected.out
-    again = run("calibrate", tmp_path / "demo", "-o", tmp_path / "again.json", "-q")
+    again = run("calibrate", tmp_path / "demo" / "recording", "-o", tmp_path / "again.json", "-q")
     assert (again.code, again.err) == (0, "")
     found = read_calibration(tmp_path / "again.json")
     difference = found.body_T_board.a_T_b[:3, 3] - calibration.body_T_board.a_T_b[:3, 3]
@@ -270,7 +271,7 @@ def test_demo_leaves_a_folder_alone_that_is_not_its_own(tmp_path: Path) -> None:
     (tmp_path / "mine" / "notes.txt").write_text("keep")
     ran = run("demo", "-o", tmp_path / "mine")
     assert ran.code == 1
-    assert "holds something already" in ran.err
+    assert "is there already, and not from an earlier demo" in ran.err
     assert (tmp_path / "mine" / "notes.txt").read_text() == "keep"
 
 

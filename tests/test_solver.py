@@ -72,7 +72,7 @@ def test_with_exact_mocap_the_estimate_is_unbiased_and_the_naive_covariance_true
     0.10 for each variable; and the mean of the whitened errors."""
     nees, whitened = {}, []
     for seed in range(32):
-        simulation = simulated.__wrapped__(kind, seed=seed, frames=40, mocap=NO_MOCAP_NOISE)
+        simulation = simulated.__wrapped__(kind, seed=seed, frames=40, mocap_rate_hz=30.0)
         calibration = calibrate_observations(with_exact_mocap(simulation), CalibrationOptions(eps=1e-6))
         poses = {
             name: (camera.camera_T_ref, simulation.truth.camera_T_ref[name])

@@ -44,6 +44,7 @@ def demo(
     from gtcal.cli.progress import shown_progress
     from gtcal.cli.tables import print_calibration, print_errors
     from gtcal.cli.verification_tables import print_verification
+    from gtcal.files import write_text
     from gtcal.options import CalibrationOptions, MocapSigmas
     from gtcal.report import gather_evidence, write_report
     from gtcal.simulation import MocapNoise, SimulationOptions, quest3_like_rig, simulate
@@ -51,6 +52,7 @@ def demo(
     from gtcal.workflow import calibrate
 
     _clear_earlier_demo(output)
+    write_text(output / _MARK, "")  # before the rest, so that an interrupted demo can be run again
     options = SimulationOptions(
         rig=quest3_like_rig().scaled(image_scale), n_frames=frames, mocap=MocapNoise(MOCAP_MM, MOCAP_DEG)
     )
@@ -64,7 +66,6 @@ def demo(
         write_report(output / "report.html", calibration, evidence=evidence, verification=verification)
     write_calibration(output / "calibration.json", calibration)
     write_verification(output / "verification.json", verification)
-    (output / _MARK).touch()
     if not quiet:
         print_calibration(calibration, verbose=True)
         print_errors(calibration, simulation.truth)
@@ -87,7 +88,7 @@ def _verified(
 ) -> Verification:
     from gtcal.lollypop_recording import load_lollypop_recording
     from gtcal.simulation.lollypop import LollypopOptions, simulate_lollypop, write_lollypop_simulation
-    from gtcal.verify import verify
+    from gtcal.verification_workflow import verify
 
     options = LollypopOptions(rig=simulation.options.rig, calibrated_in=simulation.scene, n_frames=frames)
     lollypop = simulate_lollypop(options, seed=simulation.seed + 1)
