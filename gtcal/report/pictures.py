@@ -7,11 +7,15 @@ import io
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import matplotlib
 from matplotlib.figure import Figure
 from PIL import Image
+
+from gtcal.errors import GtcalError
+from gtcal.files import write_aside
 
 INK, MUTED, FAINT, PAPER = "#1c2733", "#5c6875", "#d5dae0", "#ffffff"
 BLUE, VERMILION, GREEN, ORANGE = "#0072b2", "#d55e00", "#009e73", "#e69f00"
@@ -74,7 +78,7 @@ def styled_figure(width_in: float = 3.9, height_in: float = 3.0, *, laid_out: bo
     """A new figure; everything drawn inside has the common style. ``laid_out``: its axes get the room that their
     labels leave; else they stand where they are put."""
     with matplotlib.rc_context(_STYLE):
-        yield Figure(figsize=(width_in, height_in), layout="constrained" if laid_out else None)
+        yield Figure(figsize=(width_in, height_in), layout="compressed" if laid_out else None)
 
 
 def picture(figure: Figure, title: str, caption: str) -> Picture:
@@ -84,6 +88,18 @@ def picture(figure: Figure, title: str, caption: str) -> Picture:
     svg = _svg(figure)
     uri = data_uri("image/svg+xml", svg) if len(svg) <= _SVG_LIMIT_BYTES else data_uri("image/png", _png(figure))
     return Picture(title, caption, uri, round(96 * width_in), round(96 * height_in))
+
+
+def write_figure(path: Path, figure: Figure) -> None:
+    """Write the figure as SVG or PNG, by the file's suffix; whole or not at all. To be called inside
+    ``styled_figure``.
+
+    Raises GtcalError for another suffix, or where it can't be written."""
+    kinds = {".svg": _svg, ".png": _png}
+    if path.suffix not in kinds:
+        raise GtcalError(f"{path}: a figure is .svg or .png, not {path.suffix or 'without a suffix'}")
+    with write_aside(path, binary=True) as file:
+        file.write(kinds[path.suffix](figure))
 
 
 def data_uri(kind: str, content: bytes) -> str:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm, Normalize
-from matplotlib.figure import Figure
+from matplotlib.figure import FigureBase
 from matplotlib.patches import Circle, Rectangle
 from matplotlib.ticker import NullFormatter
 from numpy.typing import NDArray
@@ -24,7 +24,7 @@ _DENSITY_BINS = 48
 _FEW_COUNTS = 30
 
 
-def image_axes(figure: Figure, camera: Camera) -> Axes:
+def image_axes(figure: FigureBase, camera: Camera) -> Axes:
     """Axes over the camera's image, y down."""
     width_px, height_px = camera.image_width_px, camera.image_height_px
     axes = figure.add_subplot(aspect="equal")
@@ -119,7 +119,13 @@ def vector_scatter(vectors_px: FloatArray, title: str, what: str, of: str) -> Pi
             radius_px = float(np.quantile(lengths_px, share))
             axes.add_patch(Circle((0, 0), radius_px, fill=False, color=INK, linestyle=style, linewidth=1.0))
             axes.annotate(
-                f"{share:.0%}", (0, -radius_px), (0, -2), textcoords="offset points", ha="center", va="bottom", size=7
+                f"{share:.0%}",
+                (0, -radius_px),
+                (0, 3),
+                textcoords="offset points",
+                ha="center",
+                size=7,
+                bbox={"facecolor": "white", "alpha": 0.7, "pad": 0.8, "linewidth": 0},
             )
         axes.set(xlabel="x, px", ylabel="y, px", xlim=(-limit_px, limit_px), ylim=(limit_px, -limit_px))
         mean_x, mean_y = vectors_px.mean(axis=0)
@@ -134,6 +140,7 @@ def vector_scatter(vectors_px: FloatArray, title: str, what: str, of: str) -> Pi
 def _density(axes: Axes, vectors_px: FloatArray, limit_px: float, of: str) -> None:
     edges = np.linspace(-limit_px, limit_px, _DENSITY_BINS + 1)
     counts = bin_sums(vectors_px, edges, edges)
+    axes.grid(False)
     draw_bins(axes, counts, edges, edges, f"{of}s in the bin", cmap="Blues", norm=count_scale(counts))
 
 

@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
+from matplotlib.colors import to_rgb
+from matplotlib.figure import FigureBase
 from matplotlib.patches import Patch, Rectangle
 
 from gtcal.camera import Camera, FloatArray
@@ -33,15 +34,15 @@ from gtcal.verification import (
     VerificationOptions,
 )
 
-# The paper's colours, of different lightness, and the two bad ones hatched: nobody has to tell green from red.
+# The paper's colours, of different lightness, and all but green hatched: nobody has to tell green from red.
 CLASS_COLOURS = {
     ErrorClass.GREEN: "#7ccf8a",
     ErrorClass.YELLOW: "#fff3a1",
     ErrorClass.RED: "#d7402b",
     ErrorClass.MAGENTA: "#8b1c8a",
 }
-_CLASS_HATCHES = {ErrorClass.RED: "///", ErrorClass.MAGENTA: "xxx"}
-_CELL_EDGE = "#5c687588"
+_CLASS_HATCHES = {ErrorClass.YELLOW: "...", ErrorClass.RED: "///", ErrorClass.MAGENTA: "xxx"}
+_CELL_EDGE, _ON_YELLOW = "#5c687588", "#c9b458"
 _FEWEST_FOR_ARROW = 3
 _MOST_DOTS = 600
 _CURVE_LABELS = {
@@ -65,16 +66,32 @@ def verification_pictures(
 def heat_map(found: HeatMap, camera: Camera) -> Picture:
     """e_2D over the image in the paper's colours."""
     with styled_figure() as figure:
-        axes = image_axes(figure, camera)
-        classes = found.classes
-        for row, column in np.argwhere(classes != ErrorClass.NONE):
-            axes.add_patch(_cell(found, row, column, ErrorClass(classes[row, column])))
-        _class_legend(figure)
+        draw_heat_map(image_axes(figure, camera), found)
+        class_legend(figure)
         return picture(
             figure,
             "Lollypop heat map",
             "RMSE of e_2D per bin of the image; white: the device was not shown there.",
         )
+
+
+def draw_heat_map(axes: Axes, found: HeatMap, *, counts: bool = False) -> None:
+    """Colour the bins by their class; ``counts``: write into each how many sightings it holds."""
+    classes = found.classes
+    for row, column in np.argwhere(classes != ErrorClass.NONE):
+        cell = _cell(found, row, column, ErrorClass(classes[row, column]))
+        axes.add_patch(cell)
+        if counts:
+            _write_count(axes, cell, int(found.count[row, column]))
+
+
+def _write_count(axes: Axes, cell: Rectangle, count: int) -> None:
+    """On a plate of the cell's colour, clear of the hatch; white on the dark colours."""
+    red, green, blue = to_rgb(cell.get_facecolor())
+    ink = "white" if 0.3 * red + 0.6 * green + 0.1 * blue < 0.5 else INK
+    plate = {"boxstyle": "square,pad=0.12", "facecolor": cell.get_facecolor(), "edgecolor": "none"}
+    x, y = cell.get_center()
+    axes.text(x, y, str(count), ha="center", va="center", size=6, color=ink, bbox=plate)
 
 
 def _cell(found: HeatMap, row: int, column: int, kind: ErrorClass) -> Rectangle:
@@ -85,11 +102,12 @@ def _cell(found: HeatMap, row: int, column: int, kind: ErrorClass) -> Rectangle:
 
 def _class_style(kind: ErrorClass) -> dict[str, Any]:
     hatch = _CLASS_HATCHES.get(kind, "")
-    edge = "white" if hatch else _CELL_EDGE
+    edge = {ErrorClass.GREEN: _CELL_EDGE, ErrorClass.YELLOW: _ON_YELLOW}.get(kind, "white")
     return {"facecolor": CLASS_COLOURS[kind], "edgecolor": edge, "hatch": hatch, "linewidth": 0.3}
 
 
-def _class_legend(figure: Figure) -> None:
+def class_legend(figure: FigureBase) -> None:
+    """What the colours mean, above the axes."""
     low, middle, high = ERROR_CLASS_LIMITS_PX
     names = (f"< {low:g} px", f"< {middle:g}", f"< {high:g}", "more")
     handles = [Patch(label=name, **_class_style(kind)) for kind, name in zip(CLASS_COLOURS, names, strict=True)]
