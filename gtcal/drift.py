@@ -21,7 +21,7 @@ from gtcal.lollypop_recording import LollypopRecording
 from gtcal.progress import Progress, silent
 from gtcal.verdict import overall_verdict
 from gtcal.verification import ErrorStatistics, Verdict, Verification, VerificationOptions
-from gtcal.verify import verify
+from gtcal.verification_workflow import verify
 
 SCHEMA_VERSION = 1
 POOLED = "all cameras"

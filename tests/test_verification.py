@@ -34,7 +34,7 @@ from gtcal.trajectory import Trajectory
 from gtcal.verdict import camera_verdict
 from gtcal.verification import ErrorStatistics, Verdict, Verification, VerificationOptions, error_classes
 from gtcal.verification_file import read_verification, write_sightings, write_verification
-from gtcal.verify import verify
+from gtcal.verification_workflow import verify
 
 EXACT = LollypopOptions(corners=CornerNoise(pixel_px=0.0), mocap=MocapNoise(0.0, 0.0), mocap_rate_hz=480.0)
 HALF = float(np.sqrt(0.5))

@@ -30,7 +30,7 @@ from gtcal.simulation.lollypop import (
     write_lollypop_simulation,
 )
 from gtcal.verification import Verdict, Verification
-from gtcal.verify import verify
+from gtcal.verification_workflow import verify
 from gtcal.workflow import calibrate
 
 MOVED = "side_right"

@@ -60,7 +60,7 @@ def _verification(
     from gtcal.files import fingerprint
     from gtcal.lollypop_recording import load_lollypop_recording
     from gtcal.verification_file import read_verification
-    from gtcal.verify import verify
+    from gtcal.verification_workflow import verify
 
     read = read_verification(file) if file is not None else None
     used = fingerprint(path)

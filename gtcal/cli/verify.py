@@ -66,7 +66,7 @@ def verify(
     from gtcal.lollypop_recording import load_lollypop_recording
     from gtcal.verification import VerificationOptions
     from gtcal.verification_file import write_sightings, write_verification
-    from gtcal.verify import verify as run
+    from gtcal.verification_workflow import verify as run
 
     options = VerificationOptions(
         max_rmse_px=max_rmse_px,
