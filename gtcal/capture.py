@@ -86,13 +86,16 @@ class RefMotion:
 
     def at(self, stamps_ns: IntArray) -> RefPosesAt:
         """ref_T_body and its twist at ``stamps_ns`` (N,), mocap clock."""
+        ref_T_body, gaps = self.poses_at(stamps_ns)
+        return RefPosesAt(ref_T_body, self._twist_per_s(stamps_ns, ref_T_body), gaps)
+
+    def poses_at(self, stamps_ns: IntArray) -> tuple[FloatArray, dict[str, IntArray]]:
+        """ref_T_body and the gaps as ``at`` gives them, for those that need no twist."""
         poses = {
             name: trajectory.interpolate(stamps_ns, self.gap_limit_s(trajectory))
             for name, trajectory in self.trajectories.items()
         }
-        ref_T_body = self._ref_T_body(poses)
-        gaps = {name: at.gaps.astype(np.int64) for name, at in poses.items()}
-        return RefPosesAt(ref_T_body, self._twist_per_s(stamps_ns, ref_T_body), gaps)
+        return self._ref_T_body(poses), {name: at.gaps.astype(np.int64) for name, at in poses.items()}
 
     def _ref_T_body(self, poses: dict[str, PosesAt]) -> FloatArray:
         if self.capture is Capture.FIXED_CAMERAS:

@@ -86,7 +86,8 @@ def sightings_of(
     unseen = n_frames(recording, name, frame_stamps_ns) - detections.n_views
     if unseen > 0:
         left_out.append(LeftOut(name, "the device is not found in the image", unseen))
-    has_pose = _with_pose(recording.motion, detections, leave_out)
+    ref_T_body, gaps = recording.motion.poses_at(detections.stamps_ns)
+    has_pose = _with_pose(recording.motion, gaps, leave_out)
     seen = _faces_seen(detections, device)
     seen = seen.select(has_pose[seen.view])
 
@@ -104,7 +105,7 @@ def sightings_of(
     angle = centres.viewing_angle_rad
     oblique = centres.ok & (angle > np.deg2rad(max_viewing_angle_deg))
     leave_out(f"seen at more than {max_viewing_angle_deg:g} deg from the face's normal", oblique)
-    poses = recording.motion.at(detections.stamps_ns).ref_T_body[seen.view]
+    poses = ref_T_body[seen.view]
     in_camera = _mocap_centres(device, seen.face, poses, camera_T_ref)
     mocap_px, has_pixel = camera.project(in_camera)
     used = centres.ok & ~oblique
@@ -139,17 +140,14 @@ def n_frames(recording: LollypopRecording, name: str, frame_stamps_ns: IntArray)
     return len(recording.images[name]) if name in recording.images else len(frame_stamps_ns)
 
 
-def _with_pose(
-    motion: RefMotion, detections: CameraDetections, leave_out: Callable[[str, BoolArray], None]
-) -> BoolArray:
-    """(V,) the views at whose time stamp the mocap has every body."""
-    at = motion.at(detections.stamps_ns)
-    ok = np.ones(detections.n_views, dtype=bool)
+def _with_pose(motion: RefMotion, gaps: dict[str, IntArray], leave_out: Callable[[str, BoolArray], None]) -> BoolArray:
+    """(V,) the views at whose time stamp the mocap has every body, by the gaps (V,) of each."""
+    ok = np.ones(len(next(iter(gaps.values()))), dtype=bool)
     for name, trajectory in motion.trajectories.items():
-        gaps, limit_ms = at.gaps[name], 1e3 * motion.gap_limit_s(trajectory)
-        leave_out(f"outside the {trajectory.body} trajectory", ok & (gaps == Gap.OUTSIDE))
-        leave_out(f"gap > {limit_ms:.4g} ms in {trajectory.body}", ok & (gaps == Gap.TOO_LONG))
-        ok &= gaps == Gap.NONE
+        limit_ms = 1e3 * motion.gap_limit_s(trajectory)
+        leave_out(f"outside the {trajectory.body} trajectory", ok & (gaps[name] == Gap.OUTSIDE))
+        leave_out(f"gap > {limit_ms:.4g} ms in {trajectory.body}", ok & (gaps[name] == Gap.TOO_LONG))
+        ok &= gaps[name] == Gap.NONE
     return ok
 
 
