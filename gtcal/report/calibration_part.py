@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from gtcal.board import board_from_manifest
-from gtcal.calibration import NAIVE, Calibration, CameraCalibration, PoseEstimate
+from gtcal.calibration import ERRORS_IN_VARIABLES, NAIVE, Calibration, CameraCalibration, PoseEstimate
 from gtcal.camera import FloatArray
 from gtcal.progress import Progress, silent
 from gtcal.report.evidence import Evidence
@@ -21,6 +21,8 @@ MOST_DETAILED_CAMERAS = 12
 COVARIANCE_MEANINGS = {
     NAIVE: "The covariance takes the mocap as exact and the corners as independent. Mocap noise moves all corners of "
     "a frame together, so these figures are a lower bound: the true error is often several times larger.",
+    ERRORS_IN_VARIABLES: "The covariance holds pixel noise and the mocap's noise, by the sigmas that were given for it; "
+    "it is as true as they are.",
 }
 
 
