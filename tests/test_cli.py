@@ -242,12 +242,22 @@ def test_schema_is_json_on_the_screen_and_in_a_file(tmp_path: Path) -> None:
     assert json.loads((tmp_path / "schema.json").read_text()) == schema
 
 
-def test_demo_shows_all_of_it_and_how_far_from_the_truth(tmp_path: Path) -> None:
-    """Rendered images, detected, calibrated and verified; then the recording is one like any other."""
+def test_demo_shows_all_of_it_and_how_far_from_the_truth(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Rendered images, detected, calibrated and verified; then the recording is one like any other. The report, whose
+    many figures take most of the time, has tests of its own."""
+    reported = {}
+
+    def write_report(path: Path, calibration: object, **given: object) -> None:
+        reported.update(given, path=path)
+
+    monkeypatch.setattr("gtcal.report.write_report", write_report)
     ran = run("demo", "-o", tmp_path / "demo", "--frames", 12, "--image-scale", 0.3)
     assert (ran.code, ran.err) == (0, "")
     assert "difference from the truth" in ran.out
-    results = {"calibration.json", "verification.json", "report.html"}
+    assert reported["path"] == tmp_path / "demo" / "report.html"
+    assert reported["evidence"] is not None
+    assert reported["verification"] is not None
+    results = {"calibration.json", "verification.json"}
     assert results | {"recording/recording.yaml", "recording/ground_truth.json"} <= files_in(tmp_path / "demo")
     calibration = read_calibration(tmp_path / "demo" / "calibration.json")
     assert all(camera.residuals.rmse_px < 0.15 for camera in calibration.cameras.values())
