@@ -10,7 +10,7 @@ from importlib import import_module
 from importlib.metadata import version
 
 COMMANDS = {
-    "demo": "render a small recording, calibrate it, and compare with the truth",
+    "demo": "render small recordings, calibrate, verify, and compare with the truth",
     "board": "draw a calibration board to scale",
     "calibrate": "find every camera's extrinsic and the board-to-body transform from a recording",
     "verify": "test a calibration with an independent recording of the Lollypop",
@@ -27,7 +27,8 @@ OVERVIEW = """usage: gtcal COMMAND ...
 Camera-to-mocap calibration: where each camera sits relative to the mocap system, and how sure that is.
 
 The usual way: 'gtcal board' draws a board to print; you record it with the cameras and the mocap running;
-'gtcal calibrate RECORDING' solves and writes calibration.json. 'gtcal demo' shows all of it.
+'gtcal calibrate RECORDING' writes calibration.json; 'gtcal verify calibration.json LOLLYPOP_RECORDING' tells
+whether it is true. 'gtcal demo' shows all of it.
 
 commands:
 {commands}

@@ -21,8 +21,8 @@ MOST_DETAILED_CAMERAS = 12
 COVARIANCE_MEANINGS = {
     NAIVE: "The covariance takes the mocap as exact and the corners as independent. Mocap noise moves all corners of "
     "a frame together, so these figures are a lower bound: the true error is often several times larger.",
-    ERRORS_IN_VARIABLES: "The covariance holds pixel noise and the mocap's noise, by the sigmas that were given for it; "
-    "it is as true as they are.",
+    ERRORS_IN_VARIABLES: "The covariance holds pixel noise and the mocap's noise by the sigmas given for it; it is "
+    "as true as they are.",
 }
 
 
