@@ -10,6 +10,7 @@ import yaml
 from scipy.spatial.transform import Rotation
 from support import replace_once
 
+from gtcal.cli import main
 from gtcal.errors import GtcalError
 from gtcal.lollypop import DEVICE_PRESETS, device_from_manifest, device_manifest_schema
 from gtcal.lollypop_recording import (
@@ -166,3 +167,13 @@ def test_a_wrong_manifest_is_refused_in_one_line(folder: Path, old: str, new: st
     with pytest.raises(GtcalError, match=message) as error:
         load_lollypop_recording(folder)
     assert "\n" not in str(error.value)
+
+
+def test_the_schema_of_a_lollypop_recording_names_what_the_manifest_has(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["schema", "--lollypop"]) == 0
+    schema = json.loads(capsys.readouterr().out)
+    manifest = yaml.safe_load((folder / "recording.yaml").read_text())
+    assert set(manifest) <= set(schema["properties"])
+    assert set(schema["required"]) == {"gtcal_recording", "capture", "device", "cameras", "device_body"}

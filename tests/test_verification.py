@@ -19,8 +19,8 @@ from gtcal.detections import CameraDetections
 from gtcal.error_statistics import rmse_bounds
 from gtcal.errors import GtcalError
 from gtcal.lollypop import device_from_manifest
-from gtcal.lollypop_recording import LollypopRecording
-from gtcal.simulation import CornerNoise, MocapNoise, fixed_cameras_rig
+from gtcal.lollypop_recording import LollypopRecording, load_lollypop_recording
+from gtcal.simulation import CornerNoise, MocapNoise, SimulationOptions, fixed_cameras_rig, simulate
 from gtcal.simulation.lollypop import (
     LollypopOptions,
     LollypopSimulation,
@@ -30,6 +30,7 @@ from gtcal.simulation.lollypop import (
     write_lollypop_simulation,
 )
 from gtcal.simulation.noise import pose_noise
+from gtcal.simulation.simulate import scene_of
 from gtcal.trajectory import Trajectory
 from gtcal.verdict import camera_verdict
 from gtcal.verification import ErrorStatistics, Verdict, Verification, VerificationOptions, error_classes
@@ -373,6 +374,36 @@ def test_what_the_calibration_itself_leaves_open_is_no_finding() -> None:
         for name, camera in calibration.cameras.items()
     }
     assert verify(simulation.recording, replace(calibration, cameras=cameras)).faults == ()
+
+
+@pytest.mark.parametrize("capture", [Capture.TRACKED_PLATFORM, Capture.FIXED_CAMERAS])
+def test_a_lollypop_is_simulated_in_the_rig_that_was_calibrated(capture: Capture) -> None:
+    rig = fixed_cameras_rig() if capture is Capture.FIXED_CAMERAS else LollypopOptions().rig
+    of_board = SimulationOptions(rig=rig, capture=capture, n_frames=2, duration_s=4.0)
+    truth = simulate(of_board, seed=3).truth
+    fault = RigFault(
+        markers=small_motion((1, 2, 3), (0.1, 0.2, 0.3)),
+        cameras={rig.cameras[1].name: small_motion((0, 0, 5), (1, 0, 0))},
+    )
+    options = LollypopOptions(
+        rig=rig, capture=capture, fault=fault, duration_s=4.0, calibrated_in=scene_of(of_board, seed=3)
+    )
+    calibration = simulate_lollypop(options, seed=8).true_calibration()
+    for name, camera in calibration.cameras.items():
+        np.testing.assert_allclose(camera.camera_T_ref.a_T_b, truth.camera_T_ref[name], atol=1e-12)
+
+
+def test_simulate_lollypop_from_the_command_line(tmp_path: Path) -> None:
+    given = ["--seed", "3", "--duration-s", "3", "--lollypop", "-q"]
+    assert main(["simulate", "-o", str(tmp_path / "a"), *given]) == 0
+    assert main(["simulate", "-o", str(tmp_path / "b"), *given]) == 0
+    assert main(["simulate", "-o", str(tmp_path / "c"), *given, "--take", "2", "--fault", "camera"]) == 0
+    files = sorted(path.name for path in (tmp_path / "a").iterdir())
+    assert "recording.yaml" in files
+    for name in files:
+        assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
+    assert load_lollypop_recording(tmp_path / "c").device == LollypopOptions().device
+    assert (tmp_path / "a" / "platform.csv").read_bytes() != (tmp_path / "c" / "platform.csv").read_bytes()
 
 
 # -- bad input

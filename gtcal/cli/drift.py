@@ -58,7 +58,10 @@ def drift(
     started = time.perf_counter()
     options = VerificationOptions(max_rmse_px=max_rmse_px, max_rmse_mm=max_rmse_mm, confidence=confidence)
     calibrated = read_calibration(calibration)
-    loaded = [(str(path), load_lollypop_recording(path)) for path in recordings]
+    names = [path.resolve().name for path in recordings]
+    if len(set(names)) < len(names):
+        names = [str(path) for path in recordings]
+    loaded = [(name, load_lollypop_recording(path)) for name, path in zip(names, recordings, strict=True)]
     own = fingerprint(calibration)
     with shown_progress(quiet) as progress:
         found = verify_series(loaded, calibrated, options, progress=progress, inputs=(own,))

@@ -8,18 +8,20 @@ from typing import Annotated
 import tyro
 
 
-def schema(*, output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None) -> None:
+def schema(*, lollypop: bool = False, output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None) -> None:
     """Print the JSON schema of a recording's manifest, for editors that complete and check as you type.
 
     Args:
+        lollypop: That of a recording of the Lollypop, with 'device' and 'device_body'.
         output: File to write in place of printing.
     """
     import json
 
     from gtcal.files import write_text
+    from gtcal.lollypop_recording import lollypop_manifest_schema
     from gtcal.manifest import manifest_schema
 
-    text = json.dumps(manifest_schema(), indent=2)
+    text = json.dumps(lollypop_manifest_schema() if lollypop else manifest_schema(), indent=2)
     if output is None:
         print(text)
     else:
