@@ -36,16 +36,19 @@ _MAX_REFERENCES = 200
 
 @dataclass(frozen=True)
 class GuideViews:
-    """The views of one camera that PnP solved. pnp_camera_T_board: (W, 2, 4, 4) both poses, the better first."""
+    """The views of one camera that PnP solved. pnp_camera_T_board: (W, 2, 4, 4) both poses, the better first.
+    pnp_median_px: (W,) median distance of a view's corners to their projection under the better pose."""
 
     views: Views
     pnp_camera_T_board: FloatArray
+    pnp_median_px: FloatArray
     corner_moments: FloatArray
 
     @staticmethod
     def of(views: Views, pnp: PnpViews) -> GuideViews:
         chosen = select_views(views, pnp.view_index)
-        return GuideViews(chosen, pnp.camera_T_board, corner_moments(chosen.view_start, chosen.corners_m))
+        moments = corner_moments(chosen.view_start, chosen.corners_m)
+        return GuideViews(chosen, pnp.camera_T_board, pnp.median_px[:, 0], moments)
 
     def rms_m(self, camera_T_ref: FloatArray, body_T_board: FloatArray) -> FloatArray:
         """Rms distance (W, 2) between the corners placed by the chain and by each of the two PnP poses."""

@@ -123,7 +123,7 @@ class StageReport:
 
     error_before, error_after: of the stage's own objective, in ``error_unit``; of stage 1, that of its worst and its
         best start; of the intrinsics, what they leave when each view has a board pose of its own.
-    median_px: median reprojection residual over all views after the stage."""
+    median_px: median reprojection residual over all views after the stage; of PnP, with a pose of each view's own."""
 
     stage: int
     name: str

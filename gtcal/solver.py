@@ -38,6 +38,9 @@ DISAGREEMENT_RAD = np.deg2rad(3.0)
 WEAK_SIGMA_MM, WEAK_SIGMA_DEG = 2.0, 0.2
 """A 1-sigma over this, on pixel noise alone, is no ground truth."""
 
+LOOSE, LOOSE_PX = 5.0, 1.0
+"""How many times worse the corners fit in the chain than with a pose of each view's own, and how badly, to warn of."""
+
 MANY_DROPPED = 0.25
 """A share of gross views that an operator should hear of."""
 
@@ -86,7 +89,7 @@ def calibrate_observations(
         covariance_kind=NAIVE if options.mocap is None else ERRORS_IN_VARIABLES,
         stages=(*earlier, *reports, *later),
         dropped=observations.dropped + adjusted.screened.dropped(views),
-        warnings=_warnings(adjusted, sigmas, options),
+        warnings=(*_warnings(adjusted, sigmas, options), *_fit_warnings((*reports, *later))),
         provenance=provenance(options, inputs, time.perf_counter() - started),
         solution=Solution(adjusted.graph, adjusted.values, final, adjusted.screened.views),
     )
@@ -123,6 +126,17 @@ def _warnings(adjusted: Adjusted, sigmas: Covariances | None, options: Calibrati
     return (*motion, *_screening_warnings(adjusted), *(_sigma_warnings(adjusted, sigmas) if sigmas else ()))
 
 
+def _fit_warnings(reports: tuple[StageReport, ...]) -> tuple[str, ...]:
+    """By themselves the views fit as well as lens and detector are; what the chain adds is the mocap's."""
+    alone_px, chain_px = reports[0].median_px, reports[-1].median_px
+    if reports[-1].stage < 3 or not chain_px > max(LOOSE * alone_px, LOOSE_PX):
+        return ()
+    return (
+        f"corners lie {chain_px:.2g} px off, typically, but {alone_px:.2g} px where each view has a board pose of its "
+        "own: the mocap's poses do not go with the images; look for a clock offset or for loose markers",
+    )
+
+
 def _sigma_warnings(adjusted: Adjusted, sigmas: Covariances) -> tuple[str, ...]:
     found = []
     for name, covariance in sigmas.camera_T_ref.items():
@@ -151,7 +165,8 @@ def _align(
     """PnP, stage 1 and stage 2, as far as the options want them."""
     started = time.perf_counter()
     guides = _guides(views, options, progress)
-    reports = [_report(0, "PnP", started)]
+    alone_px = float(np.median(np.concatenate([guide.pnp_median_px for guide in guides.values()])))
+    reports = [replace(_report(0, "PnP", started), median_px=alone_px)]
     started = time.perf_counter()
     if 1 in options.stages:
         progress("stage 1: Procrustes sweep", 0, 1)

@@ -305,6 +305,16 @@ def test_a_large_share_of_gross_views_is_warned_of() -> None:
     assert not any("contradict" in warning for warning in calibrated(simulated(HEADSET, swap_share=0.05)).warnings)
 
 
+@pytest.mark.parametrize("kind", [HEADSET, FIXED])
+def test_a_mocap_that_does_not_go_with_the_images_is_warned_of(kind: str) -> None:
+    """Clocks 50 ms apart: the views by themselves fit to the pixel noise, in the chain they are pixels off."""
+    late = calibrated(simulated(kind, clock_offset_s=0.05))
+    assert late.stages[0].median_px < 0.15
+    assert late.stages[-1].median_px > 3.0
+    assert any("look for a clock offset" in warning for warning in late.warnings)
+    assert not any("clock offset" in warning for warning in calibrated(simulated(kind)).warnings)
+
+
 def test_without_screening_a_redescending_kernel_copes_and_the_numbers_stay_finite() -> None:
     """Swaps turn boards behind the camera: corners without a pixel, which are counted."""
     simulation = simulated(HEADSET, swap_share=0.2)
