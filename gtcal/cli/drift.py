@@ -3,14 +3,9 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import tyro
-
-if TYPE_CHECKING:
-    from rich.table import Table
-
-    from gtcal.drift import Drift
 
 
 def drift(
@@ -48,6 +43,7 @@ def drift(
 
     from gtcal.calibration_file import read_calibration
     from gtcal.cli.progress import shown_progress
+    from gtcal.cli.verification_tables import print_drift
     from gtcal.drift import verify_series, write_drift_csv, write_drift_json
     from gtcal.drift_figure import draw_drift
     from gtcal.files import fingerprint
@@ -72,53 +68,6 @@ def drift(
     if figure is not None:
         draw_drift(figure, found)
     if not quiet:
-        _print(found)
+        print_drift(found)
         print("written: " + ", ".join(str(path) for path in (output, csv, figure) if path is not None))
     return found.verdict.exit_code
-
-
-def _print(found: Drift) -> None:
-    from rich.console import Console
-    from rich.text import Text
-
-    console = Console()
-    console.print(_table(found))
-    first = found.first_failing
-    if first is None:
-        console.print("No recording fails.")
-    else:
-        console.print(Text(f"The first to fail is {found.names[first]}.", style="bold red"))
-        for fault in found.verifications[first].faults:
-            console.print(Text(f"It looks as if {fault.sentence}."))
-    for trend in found.trends:
-        if trend.significant:
-            direction = "grows" if trend.slope_per_recording > 0 else "falls"
-            console.print(
-                Text(
-                    f"Trend: the RMSE of {trend.camera} {direction} by {abs(trend.slope_per_recording):.3f} "
-                    f"± {trend.slope_sigma_per_recording:.3f} {trend.unit} per recording (p = {trend.p_value:.1g})."
-                )
-            )
-    if not any(trend.significant for trend in found.trends):
-        console.print("No trend that chance doesn't explain.")
-
-
-def _table(found: Drift) -> Table:
-    from rich import box
-    from rich.table import Table
-
-    table = Table(
-        box=box.SIMPLE_HEAD,
-        caption=f"RMSE in px; tolerances {found.options.max_rmse_px:g} px, {found.options.max_rmse_mm:g} mm",
-        caption_justify="left",
-    )
-    table.add_column("recording")
-    table.add_column("verdict", no_wrap=True)
-    for camera in found.cameras:
-        table.add_column(camera, justify="right")
-    table.add_column("all, mm", justify="right")
-    for name, verification in zip(found.names, found.verifications, strict=True):
-        cameras = (verification.cameras.get(camera) for camera in found.cameras)
-        errors = ["-" if camera is None else f"{camera.px.rmse:.3f}" for camera in cameras]
-        table.add_row(name, str(verification.verdict), *errors, f"{verification.pooled_mm.rmse:.3f}")
-    return table

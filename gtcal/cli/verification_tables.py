@@ -1,4 +1,4 @@
-"""What the terminal shows of a verification."""
+"""What the terminal shows of a verification, and of several."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from rich.console import Console, Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
+from gtcal.drift import Drift
 from gtcal.verification import CameraVerification, Verdict, Verification
 
 _STYLES = {Verdict.PASS: "bold green", Verdict.FAIL: "bold red", Verdict.INCONCLUSIVE: "bold yellow"}
@@ -101,3 +102,45 @@ def _depth_lines(verification: Verification) -> list[Text]:
         if pose.count
     ]
     return lines
+
+
+def print_drift(found: Drift) -> None:
+    """Print a row per recording, the first failure and the trends."""
+    console = Console()
+    console.print(_drift_table(found))
+    first = found.first_failing
+    if first is None:
+        console.print("No recording fails.")
+    else:
+        console.print(Text(f"The first to fail is {found.names[first]}.", style="bold red"))
+        for fault in found.verifications[first].faults:
+            console.print(Text(f"It looks as if {fault.sentence}."))
+    for trend in found.trends:
+        if trend.significant:
+            direction = "grows" if trend.slope_per_recording > 0 else "falls"
+            console.print(
+                Text(
+                    f"Trend: the RMSE of {trend.camera} {direction} by {abs(trend.slope_per_recording):.3f} "
+                    f"± {trend.slope_sigma_per_recording:.3f} {trend.unit} per recording (p = {trend.p_value:.1g})."
+                )
+            )
+    if not any(trend.significant for trend in found.trends):
+        console.print("No trend that chance doesn't explain.")
+
+
+def _drift_table(found: Drift) -> Table:
+    table = Table(
+        box=box.SIMPLE_HEAD,
+        caption=f"RMSE in px; tolerances {found.options.max_rmse_px:g} px, {found.options.max_rmse_mm:g} mm",
+        caption_justify="left",
+    )
+    table.add_column("recording")
+    table.add_column("verdict", no_wrap=True)
+    for camera in found.cameras:
+        table.add_column(camera, justify="right")
+    table.add_column("all, mm", justify="right")
+    for name, verification in zip(found.names, found.verifications, strict=True):
+        cameras = (verification.cameras.get(camera) for camera in found.cameras)
+        errors = ["-" if camera is None else f"{camera.px.rmse:.3f}" for camera in cameras]
+        table.add_row(name, str(verification.verdict), *errors, f"{verification.pooled_mm.rmse:.3f}")
+    return table
