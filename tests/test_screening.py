@@ -63,6 +63,20 @@ def test_views_that_the_mocap_puts_elsewhere_are_left_out_whole() -> None:
     assert "gross view" in dropped.reason
 
 
+def test_a_view_is_gross_where_it_is_off_several_times_more_than_usual() -> None:
+    simulation = simulated(HEADSET)
+    views = front(simulation)
+    of_camera = views["front_left"]
+    residuals = np.hypot(*chain_residuals_px(of_camera, at_the_truth(simulation)).T)
+    usual_px = float(np.median(median_by_view(of_camera, residuals)))
+    pixels = of_camera.corners_px.copy()
+    for view, times in ((4, 3.0), (8, 12.0)):
+        pixels[of_camera.view_of_corner == view] += [times * usual_px, 0.0]
+    views["front_left"] = replace(of_camera, corners_px=pixels)
+    keep_view, _ = names_kept(screen(views, at_the_truth(simulation)))
+    assert np.flatnonzero(~keep_view).tolist() == [8]
+
+
 def test_single_wrong_corners_are_left_out_and_their_view_stays() -> None:
     simulation = simulated(HEADSET)
     views = front(simulation)
@@ -122,7 +136,7 @@ def test_a_corner_without_a_pixel_goes_alone() -> None:
     views = front(simulation)
     of_camera = views["front_left"]
     corners_m = of_camera.corners_m.copy()
-    rows = of_camera.view_start[[2, 5]]
+    rows = np.concatenate([of_camera.view_start[v] + np.array([1, 4, 6]) for v in (2, 5, 9)])
     corners_m[rows] += [0.0, 0.0, 50.0]  # behind the camera
     views["front_left"] = replace(of_camera, corners_m=corners_m)
     assert np.isnan(chain_residuals_px(views["front_left"], at_the_truth(simulation))[rows]).all()
@@ -157,8 +171,16 @@ def test_median_by_view_is_the_median_of_each_view() -> None:
     values = np.random.default_rng(0).normal(size=views.n_corners)
     expected = [np.median(part) for part in np.split(values, views.view_start[1:-1])]
     np.testing.assert_allclose(median_by_view(views, values), expected, rtol=1e-15)
-    values[views.view_start[4]] = np.nan
-    assert np.isfinite(median_by_view(views, values)).all()
+
+
+def test_in_a_median_by_view_nan_ranks_above_all_numbers() -> None:
+    views = front(simulated(HEADSET))["front_left"]
+    rng = np.random.default_rng(0)
+    values = rng.normal(size=views.n_corners)
+    values[rng.random(views.n_corners) < 0.2] = np.nan
+    ranked = np.where(np.isnan(values), np.inf, values)
+    expected = [np.median(part) for part in np.split(ranked, views.view_start[1:-1])]
+    np.testing.assert_allclose(median_by_view(views, values), expected, rtol=1e-15)
 
 
 def test_selected_views_hold_their_own_corners() -> None:
