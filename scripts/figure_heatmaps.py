@@ -114,7 +114,8 @@ def table(verifications: Mapping[str, Verification]) -> Table:
 
 def draw(verifications: Mapping[str, Verification], paths: tuple[Path, ...]) -> None:
     with styled_figure(7.6, 3.7) as figure:
-        for part, (name, verification) in zip(np.ravel(figure.subfigures(1, 2)), verifications.items(), strict=True):
+        parts = figure.subfigures(1, 2, squeeze=False)[0]
+        for part, (name, verification) in zip(parts, verifications.items(), strict=True):
             (camera,) = verification.cameras.values()
             axes = image_axes(part, verification.sightings[camera.camera].camera)
             draw_heat_map(axes, camera.heat_map, counts=True)
