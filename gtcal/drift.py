@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from scipy import stats
+from scipy import special
 
 from gtcal.calibration import Calibration, Provenance
 from gtcal.camera import FloatArray
@@ -138,9 +138,9 @@ def _trend(
     x = np.array([i for i, _ in known], dtype=np.float64)
     rmse = np.array([s.rmse for _, s in known])
     width = np.array([s.rmse_high - s.rmse_low for _, s in known])
-    sigma = np.maximum(width / (2.0 * stats.norm.ppf(confidence)), 1e-9)
+    sigma = np.maximum(width / (2.0 * special.ndtri(confidence)), 1e-9)
     slope, slope_sigma = _line(x, rmse, sigma)
-    p_value = float(2.0 * stats.t.sf(abs(slope) / slope_sigma, len(x) - 2))
+    p_value = float(2.0 * special.stdtr(len(x) - 2, -abs(slope) / slope_sigma))
     return Trend(camera, unit, slope, slope_sigma, p_value, p_value < level)
 
 

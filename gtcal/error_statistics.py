@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Literal
 
 import numpy as np
-from scipy import stats
+from scipy import special
 
 from gtcal.blocks import sum_covariance
 from gtcal.camera import Camera, FloatArray
@@ -43,7 +43,7 @@ def rmse_bounds(norms: FloatArray, frame_index: IntArray, confidence: float) -> 
     if of_sum is None:
         return float("nan"), float("nan")
     sigma = float(np.sqrt(of_sum.covariance[0, 0])) / len(norms)
-    reach = float(stats.t.ppf(confidence, of_sum.degrees_of_freedom)) * sigma
+    reach = float(special.stdtrit(of_sum.degrees_of_freedom, confidence)) * sigma
     mean = float(squares.mean())
     return float(np.sqrt(max(mean - reach, 0.0))), float(np.sqrt(mean + reach))
 
@@ -63,7 +63,7 @@ def _mean_with_interval(values: FloatArray, frame_index: IntArray, confidence: f
     for i in range(2):
         of_sum = sum_covariance(values[:, i : i + 1], frame_index)
         if of_sum is not None:
-            quantile = stats.t.ppf(0.5 + 0.5 * confidence, of_sum.degrees_of_freedom)
+            quantile = special.stdtrit(of_sum.degrees_of_freedom, 0.5 + 0.5 * confidence)
             half[i] = quantile * np.sqrt(of_sum.covariance[0, 0]) / len(values)
     return mean, half
 

@@ -14,7 +14,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import stats
+from scipy import special
 from scipy.spatial.transform import Rotation
 
 from factors.rigid import inverse
@@ -423,7 +423,7 @@ def _huber_weights(residuals: FloatArray, sigma: FloatArray) -> FloatArray:
 
 def _p_value(found: FloatArray, covariance: FloatArray, degrees_of_freedom: float) -> float:
     wald = float(found @ np.linalg.solve(covariance, found))
-    return float(stats.f.sf(wald / len(found), len(found), degrees_of_freedom))
+    return float(special.fdtrc(len(found), degrees_of_freedom, wald / len(found)))
 
 
 def _sizes(fit: _Fit) -> tuple[float, float, float, float]:
