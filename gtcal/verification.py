@@ -353,6 +353,10 @@ mocap's world) moved against the cameras. camera_moved: one camera's own. lens_c
 when it warms up. device_centre: the Lollypop's centre is not where its body's origin is."""
 
 
+MAIN_CAUSE = 0.5
+"""A finding that explains this share of the squared error, or more, is its main cause."""
+
+
 @dataclass(frozen=True)
 class Fault:
     """A correction that explains the errors significantly better than chance.
@@ -381,6 +385,21 @@ class Fault:
     rmse_after_px: float
     also_possible: tuple[str, ...]
     sentence: str
+
+    @property
+    def explained_share(self) -> float:
+        """Of the squared error, 0 to 1."""
+        return 1.0 - (self.rmse_after_px / self.rmse_before_px) ** 2 if self.rmse_before_px > 0.0 else 0.0
+
+    @property
+    def caveat(self) -> str:
+        """What to mind where the finding is real but explains less than half of the squared error; else empty."""
+        if self.explained_share >= MAIN_CAUSE:
+            return ""
+        return (
+            f"it explains only {self.explained_share:.0%} of the squared error: the rest is noise, or another cause "
+            "behind it, such as a wrong lens"
+        )
 
 
 @dataclass(frozen=True)

@@ -79,6 +79,7 @@ def _findings(verification: Verification) -> list[Text]:
     for fault in verification.faults:
         gain = f"e_2D RMSE {fault.rmse_before_px:.3f} px, {fault.rmse_after_px:.3f} px when corrected"
         lines.append(Text(f"It looks as if {fault.sentence}: {gain}.", style="bold"))
+        lines += [Text(f"  But {fault.caveat}.")] if fault.caveat else []
         lines += [Text(f"  As possible: {other}.") for other in fault.also_possible]
     return lines
 
@@ -114,7 +115,9 @@ def print_drift(found: Drift) -> None:
     else:
         console.print(Text(f"The first to fail is {found.names[first]}.", style="bold red"))
         for fault in found.verifications[first].faults:
-            console.print(Text(f"It looks as if {fault.sentence}."))
+            console.print(
+                Text(f"It looks as if {fault.sentence}" + (f", but {fault.caveat}." if fault.caveat else "."))
+            )
     for trend in found.trends:
         if trend.significant:
             direction = "grows" if trend.slope_per_recording > 0 else "falls"

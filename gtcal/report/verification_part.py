@@ -210,6 +210,8 @@ def _details(verification: Verification, calibration: Calibration, row: Verified
 def _finding(fault: Fault) -> str:
     text = f"{fault.sentence}. With that corrected, the RMSE falls from {fault.rmse_before_px:.3f} to "
     text += f"{fault.rmse_after_px:.3f} px"
+    if fault.caveat:
+        text += f"; {fault.caveat}"
     if fault.also_possible:
         text += f"; also possible: {'; '.join(fault.also_possible)}"
     return text + "."
