@@ -3,7 +3,7 @@
 Runs 'gtcal demo' and takes a screenshot of the top of its report in a headless Chromium (without one, that picture is
 left as it is, which one line says), then runs scripts/figure_heatmaps.py.
 
-    python scripts/readme_pictures.py -o docs
+    python scripts/readme_pictures.py
 """
 
 from __future__ import annotations
@@ -71,7 +71,13 @@ def _run(*command: str) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("-o", "--output", type=Path, default=Path("docs"), help="folder to write the pictures into")
+    parser.add_argument(
+        "-o",
+        "--output",
+        type=Path,
+        default=Path(__file__).parent / "pictures",
+        help="folder to write the pictures into",
+    )
     folder: Path = parser.parse_args().output
     console = Console(stderr=True)
     chromium = next(filter(None, map(shutil.which, CHROMIUMS)), None)
