@@ -25,9 +25,9 @@ from gtcal.calibration import (
 )
 from gtcal.camera import Camera, FloatArray
 from gtcal.capture import Capture
-from gtcal.errors import GtcalError
 from gtcal.files import InputFile, write_text
 from gtcal.observations import Dropped
+from gtcal.result_file import read_result
 from gtcal.trajectory import quaternions_from_poses
 
 SCHEMA_VERSION = 1
@@ -51,34 +51,7 @@ def read_calibration(path: Path | str) -> Calibration:
     """Read what ``write_calibration`` wrote.
 
     Raises GtcalError for a file that is missing, no JSON, of a newer schema, or lacks a field."""
-    path = Path(path)
-    document = _read_json(path)
-    version = document.get("gtcal_calibration") if isinstance(document, dict) else None
-    if not isinstance(version, int):
-        raise GtcalError(f"{path}: is no calibration of gtcal: the field 'gtcal_calibration' is missing")
-    if version > SCHEMA_VERSION:
-        raise GtcalError(
-            f"{path}: has calibration schema {version}, this gtcal reads up to {SCHEMA_VERSION}; update gtcal"
-        )
-    try:
-        return _calibration(document)
-    except KeyError as error:
-        raise GtcalError(f"{path}: the field {error.args[0]!r} is missing") from error
-    except (TypeError, ValueError, AttributeError) as error:
-        raise GtcalError(f"{path}: a field has the wrong form: {error}") from error
-
-
-def _read_json(path: Path) -> Any:
-    try:
-        return json.loads(path.read_text(encoding="utf-8"), parse_constant=_refuse)
-    except OSError as error:
-        raise GtcalError(f"{path}: can't be read: {error.strerror}") from error
-    except ValueError as error:
-        raise GtcalError(f"{path}: is not valid JSON: {error}") from error
-
-
-def _refuse(constant: str) -> None:
-    raise ValueError(f"{constant} is no number of JSON")
+    return read_result(Path(path), "calibration", SCHEMA_VERSION, _calibration)
 
 
 def _document(calibration: Calibration) -> dict[str, Any]:

@@ -28,7 +28,7 @@ from gtcal.graph import BODY_T_BOARD, camera_T_ref_key, minimise, theta_key, to_
 from gtcal.observations import Views
 from gtcal.options import CalibrationOptions, MocapSigmas
 from gtcal.progress import Progress, silent
-from gtcal.residuals import chain_residuals_px, corner_views, median_by_view, norms
+from gtcal.residuals import chain_residuals_px, corner_views, offsets_from_view
 
 MAX_ROUNDS = 5
 """Of solving and estimating the pixel noise anew; two or three do."""
@@ -149,11 +149,7 @@ def _one_view(views: Views, index: int, sigma_px: float) -> CornerViews:
 def _scatter_px(views: Mapping[str, Views], estimate: Estimate) -> float:
     """A first guess of the pixel noise: the scatter of corners round the median residual of their view, which mocap
     noise moves as a whole."""
-    lengths = []
-    for of_camera in views.values():
-        residuals = chain_residuals_px(of_camera, estimate)
-        shift = np.stack([median_by_view(of_camera, residuals[:, axis]) for axis in range(2)], axis=1)
-        lengths.append(norms(residuals - np.repeat(shift, np.diff(of_camera.view_start), axis=0)))
+    lengths = [offsets_from_view(of_camera, chain_residuals_px(of_camera, estimate)) for of_camera in views.values()]
     return max(float(np.median(np.concatenate(lengths))) / MEDIAN_LENGTH, 1e-6)
 
 

@@ -55,6 +55,13 @@ def median_by_view(views: Views, values: FloatArray) -> FloatArray:
     return medians
 
 
+def offsets_from_view(views: Views, residuals_px: FloatArray) -> FloatArray:
+    """Length (N,) of each residual (N, 2) less its view's median one: mocap noise, which moves a view as a whole, drops
+    out. Infinite for NaN."""
+    shift = np.stack([median_by_view(views, residuals_px[:, axis]) for axis in range(2)], axis=1)
+    return norms(residuals_px - np.repeat(shift, np.diff(views.view_start), axis=0))
+
+
 def select_views(views: Views, index: IntArray) -> Views:
     """The views at ``index``, in that order."""
     counts = np.diff(views.view_start)[index]

@@ -15,7 +15,7 @@ import numpy as np
 from gtcal.camera import BoolArray, FloatArray
 from gtcal.estimate import Estimate
 from gtcal.observations import Dropped, Views
-from gtcal.residuals import chain_residuals_px, median_by_view, norms, select_corners
+from gtcal.residuals import chain_residuals_px, median_by_view, norms, offsets_from_view, select_corners
 
 VIEW_GATE = 5.0
 """A view is out where its median residual is over 5 times the camera's median one. Shifts of views by Gaussian
@@ -98,8 +98,7 @@ def _masks(views: Views, residuals_px: FloatArray, lengths_px: FloatArray) -> tu
     """Which views (V,) and corners (N,) stay. A corner without a pixel (NaN) counts as infinitely far off."""
     of_view = median_by_view(views, lengths_px)
     keep_view = of_view <= max(VIEW_GATE * float(np.median(of_view)), FLOOR_PX)
-    shift = np.stack([median_by_view(views, residuals_px[:, axis]) for axis in range(2)], axis=1)
-    from_view = norms(residuals_px - np.repeat(shift, np.diff(views.view_start), axis=0))
+    from_view = offsets_from_view(views, residuals_px)
     in_kept_view = np.repeat(keep_view, np.diff(views.view_start))
     usual = float(np.median(from_view[in_kept_view]))
     return keep_view, in_kept_view & (from_view <= max(CORNER_GATE * usual, FLOOR_PX))

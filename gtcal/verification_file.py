@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 
 from gtcal.calibration import Provenance
-from gtcal.errors import GtcalError
 from gtcal.files import InputFile, write_aside, write_text
 from gtcal.lollypop import Lollypop, device_from_manifest
+from gtcal.result_file import read_result
 from gtcal.verification import (
     Bias,
     CameraVerification,
@@ -57,25 +57,7 @@ def read_verification(path: Path) -> Verification:
     """Read what ``write_verification`` wrote; the sightings, the calibration and the recording are not in it.
 
     Raises GtcalError for a file that is missing, no JSON, of a newer schema, or lacks a field."""
-    try:
-        document = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise GtcalError(f"{path}: can't be read: {error.strerror}") from error
-    except ValueError as error:
-        raise GtcalError(f"{path}: is not valid JSON: {error}") from error
-    version = document.get("gtcal_verification") if isinstance(document, dict) else None
-    if not isinstance(version, int):
-        raise GtcalError(f"{path}: is no verification of gtcal: the field 'gtcal_verification' is missing")
-    if version > SCHEMA_VERSION:
-        raise GtcalError(
-            f"{path}: has verification schema {version}, this gtcal reads up to {SCHEMA_VERSION}; update gtcal"
-        )
-    try:
-        return _verification(document)
-    except KeyError as error:
-        raise GtcalError(f"{path}: the field {error.args[0]!r} is missing") from error
-    except (TypeError, ValueError) as error:
-        raise GtcalError(f"{path}: a field has the wrong form: {error}") from error
+    return read_result(path, "verification", SCHEMA_VERSION, _verification)
 
 
 _SIGHTING_COLUMNS = (

@@ -593,3 +593,17 @@ def test_verify_tells_its_verdict_by_exit_code(tmp_path: Path, capsys: pytest.Ca
     (tmp_path / "calibration.json").write_text(text.replace('"gtcal_calibration": ', '"gtcal_calibration": 9', 1))
     assert main(["verify", str(tmp_path / "calibration.json"), str(tmp_path / "good")]) == 1
     assert "update gtcal" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("spoilt", "said"),
+    [
+        ('{"gtcal_verification": 1, "verdict": NaN}', "NaN is no number of JSON"),
+        ('{"gtcal_verification": 1, "verdict": "pass", "reasons": [], "cameras": []}', "a field has the wrong form"),
+        ('{"gtcal_verification": 99}', "has verification schema 99"),
+    ],
+)
+def test_a_damaged_verification_file_is_refused_in_one_line(tmp_path: Path, spoilt: str, said: str) -> None:
+    (tmp_path / "v.json").write_text(spoilt)
+    with pytest.raises(GtcalError, match=said):
+        read_verification(tmp_path / "v.json")
