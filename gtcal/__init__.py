@@ -13,52 +13,52 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from gtcal.board import PRESETS as PRESETS
     from gtcal.board import board_from_manifest as board_from_manifest
-    from gtcal.calibration import Calibration as Calibration
-    from gtcal.calibration_file import read_calibration as read_calibration
-    from gtcal.calibration_file import write_calibration as write_calibration
-    from gtcal.drift import Drift as Drift
-    from gtcal.drift import verify_series as verify_series
     from gtcal.errors import GtcalError as GtcalError
-    from gtcal.lollypop_recording import LollypopRecording as LollypopRecording
-    from gtcal.lollypop_recording import load_lollypop_recording as load_lollypop_recording
-    from gtcal.lollypop_recording import write_lollypop_recording as write_lollypop_recording
-    from gtcal.observations import synchronise as synchronise
-    from gtcal.options import CalibrationOptions as CalibrationOptions
-    from gtcal.recording import Recording as Recording
-    from gtcal.recording import load_recording as load_recording
-    from gtcal.recording import write_recording as write_recording
-    from gtcal.solver import calibrate_observations as calibrate_observations
-    from gtcal.verification import Verification as Verification
-    from gtcal.verification import VerificationOptions as VerificationOptions
-    from gtcal.verification_file import read_verification as read_verification
-    from gtcal.verification_file import write_verification as write_verification
-    from gtcal.verification_workflow import verify as verify
+    from gtcal.estimation.observations import synchronise as synchronise
+    from gtcal.estimation.options import CalibrationOptions as CalibrationOptions
+    from gtcal.estimation.solver import calibrate_observations as calibrate_observations
+    from gtcal.recordings.recording import Recording as Recording
+    from gtcal.recordings.recording import load_recording as load_recording
+    from gtcal.recordings.recording import write_recording as write_recording
+    from gtcal.results.calibration import Calibration as Calibration
+    from gtcal.results.calibration_file import read_calibration as read_calibration
+    from gtcal.results.calibration_file import write_calibration as write_calibration
+    from gtcal.verification.drift import Drift as Drift
+    from gtcal.verification.drift import verify_series as verify_series
+    from gtcal.verification.lollypop_recording import LollypopRecording as LollypopRecording
+    from gtcal.verification.lollypop_recording import load_lollypop_recording as load_lollypop_recording
+    from gtcal.verification.lollypop_recording import write_lollypop_recording as write_lollypop_recording
+    from gtcal.verification.verification import Verification as Verification
+    from gtcal.verification.verification import VerificationOptions as VerificationOptions
+    from gtcal.verification.verification_file import read_verification as read_verification
+    from gtcal.verification.verification_file import write_verification as write_verification
+    from gtcal.verification.workflow import verify as verify
     from gtcal.workflow import calibrate as calibrate
     from gtcal.workflow import detected as detected
 
 _HOMES = {
     "PRESETS": "board",
     "board_from_manifest": "board",
-    "calibrate_observations": "solver",
-    "Calibration": "calibration",
-    "read_calibration": "calibration_file",
-    "write_calibration": "calibration_file",
+    "calibrate_observations": "estimation.solver",
+    "Calibration": "results.calibration",
+    "read_calibration": "results.calibration_file",
+    "write_calibration": "results.calibration_file",
     "GtcalError": "errors",
-    "Drift": "drift",
-    "verify_series": "drift",
-    "LollypopRecording": "lollypop_recording",
-    "load_lollypop_recording": "lollypop_recording",
-    "write_lollypop_recording": "lollypop_recording",
-    "Verification": "verification",
-    "VerificationOptions": "verification",
-    "read_verification": "verification_file",
-    "write_verification": "verification_file",
-    "verify": "verification_workflow",
-    "synchronise": "observations",
-    "CalibrationOptions": "options",
-    "Recording": "recording",
-    "load_recording": "recording",
-    "write_recording": "recording",
+    "Drift": "verification.drift",
+    "verify_series": "verification.drift",
+    "LollypopRecording": "verification.lollypop_recording",
+    "load_lollypop_recording": "verification.lollypop_recording",
+    "write_lollypop_recording": "verification.lollypop_recording",
+    "Verification": "verification.verification",
+    "VerificationOptions": "verification.verification",
+    "read_verification": "verification.verification_file",
+    "write_verification": "verification.verification_file",
+    "verify": "verification.workflow",
+    "synchronise": "estimation.observations",
+    "CalibrationOptions": "estimation.options",
+    "Recording": "recordings.recording",
+    "load_recording": "recordings.recording",
+    "write_recording": "recordings.recording",
     "calibrate": "workflow",
     "detected": "workflow",
 }

@@ -19,8 +19,8 @@ import numpy as np
 import numpy.typing as npt
 
 from gtcal.camera import BoolArray, FloatArray
-from gtcal.detections import IntArray
 from gtcal.errors import GtcalError
+from gtcal.recordings.detections import IntArray
 
 CodeArray = npt.NDArray[np.uint8]
 

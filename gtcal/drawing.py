@@ -16,7 +16,7 @@ from gtcal.board import Board
 from gtcal.camera import FloatArray
 from gtcal.errors import GtcalError
 from gtcal.files import write_aside
-from gtcal.images import GreyImage
+from gtcal.recordings.images import GreyImage
 
 # A texel grid is aligned with an edge when the edge is off by less than this fraction of a texel.
 _ALIGNED_TEXELS = 1e-6

@@ -6,17 +6,17 @@ from __future__ import annotations
 import time
 from dataclasses import replace
 
-from gtcal.calibration import Calibration, StageReport
-from gtcal.detection import cached_detect
+from gtcal.detection.detect import cached_detect
 from gtcal.errors import GtcalError
+from gtcal.estimation.intrinsics import calibrate_intrinsics
+from gtcal.estimation.observations import Observations, synchronise
+from gtcal.estimation.options import CalibrationOptions
+from gtcal.estimation.solver import DisagreementError, calibrate_observations
+from gtcal.estimation.suspects import likely_mistake
 from gtcal.files import fingerprint
-from gtcal.intrinsics import calibrate_intrinsics
-from gtcal.observations import Observations, synchronise
-from gtcal.options import CalibrationOptions
 from gtcal.progress import Progress, silent
-from gtcal.recording import Recording
-from gtcal.solver import DisagreementError, calibrate_observations
-from gtcal.suspects import likely_mistake
+from gtcal.recordings.recording import Recording
+from gtcal.results.calibration import Calibration, StageReport
 
 
 def calibrate(

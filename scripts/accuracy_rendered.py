@@ -20,9 +20,9 @@ from rich.table import Table
 
 from factors.rigid import inverse
 from gtcal import CalibrationOptions, calibrate, detected, load_recording
-from gtcal.calibration import pose_difference
-from gtcal.options import MocapSigmas
-from gtcal.recording import Recording
+from gtcal.estimation.options import MocapSigmas
+from gtcal.recordings.recording import Recording
+from gtcal.results.calibration import pose_difference
 from gtcal.simulation import (
     GroundTruth,
     MocapNoise,

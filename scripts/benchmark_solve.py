@@ -30,14 +30,14 @@ from scipy.optimize import least_squares
 from factors import CornerReprojectionFactor, RobustKernel
 from factors.moments import chain
 from gtcal import CalibrationOptions, board_from_manifest, synchronise
-from gtcal.adjustment import adjust, covariances
-from gtcal.alignment import GuideViews, stage_1, stage_2
 from gtcal.camera import FloatArray
-from gtcal.estimate import Estimate
-from gtcal.graph import BODY_T_BOARD, camera_T_ref_key, minimise, reprojection_graph, to_values, updated
-from gtcal.observations import Observations, Views
-from gtcal.pnp import solve_pnp
-from gtcal.residuals import chain_residuals_px, select_views
+from gtcal.estimation.adjustment import adjust, covariances
+from gtcal.estimation.alignment import GuideViews, stage_1, stage_2
+from gtcal.estimation.estimate import Estimate
+from gtcal.estimation.graph import BODY_T_BOARD, camera_T_ref_key, minimise, reprojection_graph, to_values, updated
+from gtcal.estimation.observations import Observations, Views
+from gtcal.estimation.pnp import solve_pnp
+from gtcal.estimation.residuals import chain_residuals_px, select_views
 from gtcal.simulation import SimulationOptions, quest3_like_rig, simulate
 
 BOARD = {

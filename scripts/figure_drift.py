@@ -19,11 +19,11 @@ import numpy as np
 from gtcal import CalibrationOptions, Drift, calibrate, verify_series
 from gtcal.cli.progress import shown_progress
 from gtcal.cli.verification_tables import print_drift
-from gtcal.drift_figure import draw_drift
-from gtcal.options import MocapSigmas
+from gtcal.estimation.options import MocapSigmas
 from gtcal.progress import Progress
 from gtcal.simulation import MocapNoise, SimulationOptions, simulate
 from gtcal.simulation.lollypop import LollypopOptions, RigFault, simulate_lollypop, small_motion
+from gtcal.verification.drift_figure import draw_drift
 
 N_RECORDINGS = 5
 MOCAP_MM, MOCAP_DEG = 0.05, 0.005

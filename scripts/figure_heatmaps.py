@@ -34,14 +34,14 @@ from gtcal import (
 )
 from gtcal.camera import Camera
 from gtcal.cli.progress import shown_progress
-from gtcal.options import MocapSigmas
+from gtcal.estimation.options import MocapSigmas
 from gtcal.progress import Progress
 from gtcal.report.pictures import styled_figure, write_figure
 from gtcal.report.plots import image_axes
 from gtcal.report.verification_figures import class_legend, draw_heat_map
 from gtcal.simulation import MocapNoise, SimulationOptions, quest3_like_rig, simulate
 from gtcal.simulation.lollypop import LollypopOptions, simulate_lollypop, small_motion
-from gtcal.verification import ErrorClass
+from gtcal.verification.verification import ErrorClass
 
 MOCAP_MM, MOCAP_DEG = 0.05, 0.005
 BINS = VerificationOptions(heat_map_columns=12, heat_map_rows=10)

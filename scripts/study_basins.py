@@ -23,11 +23,11 @@ from rich.table import Table
 
 from factors.rigid import inverse
 from gtcal import synchronise
-from gtcal.alignment import GuideViews, stage_1, stage_2
-from gtcal.calibration import pose_difference
 from gtcal.camera import FloatArray
-from gtcal.capture import Capture
-from gtcal.pnp import solve_pnp
+from gtcal.estimation.alignment import GuideViews, stage_1, stage_2
+from gtcal.estimation.pnp import solve_pnp
+from gtcal.recordings.capture import Capture
+from gtcal.results.calibration import pose_difference
 from gtcal.simulation import GroundTruth, SimulationOptions, fixed_cameras_rig, quest3_like_rig, simulate
 from gtcal.simulation.transforms import random_transform
 

@@ -22,7 +22,7 @@ from rich.table import Table
 
 from gtcal.simulation import MocapNoise
 from gtcal.simulation.lollypop import LollypopOptions, RigFault, simulate_lollypop, small_motion
-from gtcal.verification_workflow import verify
+from gtcal.verification.workflow import verify
 
 FAULTS_DEG = (0.02, 0.05, 0.1, 0.2)
 FAULTS_MM = (0.2, 0.5, 1.0, 2.0)

@@ -10,12 +10,12 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from factors.rigid import inverse
-from gtcal.alignment import GuideViews
 from gtcal.board import AprilGrid, CharucoBoard
-from gtcal.calibration import Calibration, pose_difference
-from gtcal.capture import Capture
-from gtcal.observations import Observations, Views, synchronise
-from gtcal.pnp import solve_pnp
+from gtcal.estimation.alignment import GuideViews
+from gtcal.estimation.observations import Observations, Views, synchronise
+from gtcal.estimation.pnp import solve_pnp
+from gtcal.recordings.capture import Capture
+from gtcal.results.calibration import Calibration, pose_difference
 from gtcal.simulation import MocapNoise, Simulation, SimulationOptions, fixed_cameras_rig, quest3_like_rig, simulate
 
 HEADSET = "headset, board tracked"

@@ -13,8 +13,8 @@ from support import EPOCH_NS, random_detections, wandering_trajectory
 from factors import FISHEYE62, PINHOLE_RADTAN
 from gtcal.board import AprilGrid
 from gtcal.camera import Camera
-from gtcal.capture import Capture
-from gtcal.recording import Recording, write_recording
+from gtcal.recordings.capture import Capture
+from gtcal.recordings.recording import Recording, write_recording
 
 SHARED = Path(__file__).resolve().parents[2] / "shared"
 

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from factors import PINHOLE_RADTAN
 from gtcal.board import Board
 from gtcal.camera import BoolArray, Camera, FloatArray
-from gtcal.images import GreyImage
+from gtcal.recordings.images import GreyImage
 from gtcal.simulation import ImageOptions, quest3_like_rig
 from gtcal.simulation.backdrop import room
 from gtcal.simulation.rendering import Plate, lens_of, plate_of, render

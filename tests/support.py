@@ -8,8 +8,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from gtcal.camera import Camera
-from gtcal.detections import CameraDetections
-from gtcal.trajectory import Trajectory
+from gtcal.recordings.detections import CameraDetections
+from gtcal.recordings.trajectory import Trajectory
 
 EPOCH_NS = 1_606_153_863_362_296_104  # beyond 2^53: no float64 holds it
 

@@ -16,14 +16,14 @@ from scipy.spatial.transform import Rotation
 
 import gtcal
 from factors.rigid import inverse
-from gtcal.calibration import Calibration, PoseEstimate, ResidualStatistics, pose_difference
-from gtcal.calibration_file import read_calibration, write_calibration
 from gtcal.errors import GtcalError
+from gtcal.estimation.observations import synchronise
+from gtcal.estimation.options import CalibrationOptions
+from gtcal.estimation.solver import calibrate_observations
 from gtcal.files import InputFile
-from gtcal.observations import synchronise
-from gtcal.options import CalibrationOptions
+from gtcal.results.calibration import Calibration, PoseEstimate, ResidualStatistics, pose_difference
+from gtcal.results.calibration_file import read_calibration, write_calibration
 from gtcal.simulation import CornerNoise
-from gtcal.solver import calibrate_observations
 
 
 @cache

@@ -16,11 +16,11 @@ from calibration_support import HEADSET, errors, near, simulated
 from cli_support import all_in, files_in, run
 
 from factors import ROBUST_KERNELS
-from gtcal.calibration_file import read_calibration
 from gtcal.cli import COMMANDS
 from gtcal.cli.calibrate import KernelName
-from gtcal.detection_files import read_detections
-from gtcal.recording import load_recording
+from gtcal.recordings.detection_files import read_detections
+from gtcal.recordings.recording import load_recording
+from gtcal.results.calibration_file import read_calibration
 from gtcal.simulation import MocapNoise, write_simulation
 
 HEAVY = ("gtsam", "numba", "cv2", "numpy", "scipy", "pydantic", "reportlab")
@@ -298,14 +298,14 @@ def breaking(error: BaseException) -> Callable[..., None]:
 def test_a_bug_ends_in_a_traceback_and_1(
     folder: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    monkeypatch.setattr("gtcal.recording.load_recording", breaking(ZeroDivisionError("oh")))
+    monkeypatch.setattr("gtcal.recordings.recording.load_recording", breaking(ZeroDivisionError("oh")))
     assert run("calibrate", folder).code == 1
     assert "this is a bug in gtcal" in caplog.text
     assert "ZeroDivisionError: oh" in caplog.text
 
 
 def test_an_interrupt_ends_quietly_with_130(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("gtcal.recording.load_recording", breaking(KeyboardInterrupt()))
+    monkeypatch.setattr("gtcal.recordings.recording.load_recording", breaking(KeyboardInterrupt()))
     ran = run("calibrate", folder)
     assert (ran.code, ran.out, ran.err) == (130, "", "gtcal: interrupted\n")
 

@@ -13,13 +13,13 @@ import numpy as np
 import pytest
 from detection_support import FISHEYE, PINHOLE, SHARP, Filmer, View
 
-import gtcal.detection
+import gtcal.detection.detect
 from gtcal.board import PAPER_A2, AprilGrid, ArucoGrid, Board, CharucoBoard
 from gtcal.camera import Camera
-from gtcal.detection import cached_detect, detect, detect_view
-from gtcal.detections import CameraDetections
+from gtcal.detection.detect import cached_detect, detect, detect_view
 from gtcal.errors import GtcalError
-from gtcal.images import GreyImage, ImageSequence, image_folder, image_list
+from gtcal.recordings.detections import CameraDetections
+from gtcal.recordings.images import GreyImage, ImageSequence, image_folder, image_list
 from gtcal.simulation import ImageOptions
 from gtcal.simulation.rendering import plate_of
 
@@ -125,7 +125,7 @@ def test_tags_that_opencv_misses_are_found_from_the_others(monkeypatch: pytest.M
     view = Filmer(PINHOLE, seed=5).view(APRIL, 1.3, tilt_deg=45)
     full, _ = detect_view(view.image, APRIL)
     assert len(full) == APRIL.n_corners
-    from gtcal import view_detection
+    from gtcal.detection import view_detection
 
     find_tags = view_detection.find_tags
 
@@ -345,7 +345,7 @@ def no_detection(monkeypatch: pytest.MonkeyPatch) -> Callable[[], None]:
         def fail(*_: object, **__: object) -> None:
             raise AssertionError("detected again")
 
-        monkeypatch.setattr(gtcal.detection, "see_board", fail)
+        monkeypatch.setattr(gtcal.detection.detect, "see_board", fail)
 
     return forbid
 

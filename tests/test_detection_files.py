@@ -8,9 +8,9 @@ from support import random_detections, replace_once
 from factors import PINHOLE_RADTAN
 from gtcal.board import PAPER_A2, AprilGrid, CharucoBoard
 from gtcal.camera import Camera
-from gtcal.detection_files import read_detections, write_detections
-from gtcal.detections import CameraDetections
 from gtcal.errors import GtcalError
+from gtcal.recordings.detection_files import read_detections, write_detections
+from gtcal.recordings.detections import CameraDetections
 
 BOARD = AprilGrid(tag_columns=6, tag_rows=6, tag_side_m=0.088, tag_spacing=0.3)
 OFFSET_BOARD = AprilGrid(tag_columns=3, tag_rows=2, tag_side_m=0.088, tag_spacing=0.3, first_tag_id=7)

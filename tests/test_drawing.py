@@ -17,7 +17,7 @@ import yaml
 
 from gtcal.board import PAPER_A2, AprilGrid, ArucoGrid, Board, CharucoBoard, board_from_manifest
 from gtcal.cli import main
-from gtcal.detection import detect_view
+from gtcal.detection.detect import detect_view
 from gtcal.drawing import ISO_PAGES_MM, board_texture, draw_board, sheet_of
 from gtcal.errors import GtcalError
 

@@ -9,11 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gtcal.calibration_file import write_calibration
 from gtcal.cli import main
-from gtcal.drift import POOLED, Drift, verify_series, write_drift_csv
-from gtcal.drift_figure import draw_drift
 from gtcal.errors import GtcalError
+from gtcal.results.calibration_file import write_calibration
 from gtcal.simulation.lollypop import (
     LollypopOptions,
     LollypopSimulation,
@@ -22,7 +20,9 @@ from gtcal.simulation.lollypop import (
     small_motion,
     write_lollypop_simulation,
 )
-from gtcal.verification import Verdict
+from gtcal.verification.drift import POOLED, Drift, verify_series, write_drift_csv
+from gtcal.verification.drift_figure import draw_drift
+from gtcal.verification.verification import Verdict
 
 FAULTS = {
     "none": RigFault(),

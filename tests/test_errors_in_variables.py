@@ -10,10 +10,10 @@ import pytest
 
 from factors.rigid import inverse
 from gtcal import CalibrationOptions, GtcalError, calibrate_observations, synchronise
-from gtcal.calibration import ERRORS_IN_VARIABLES, NAIVE, PoseEstimate, pose_difference
-from gtcal.capture import Capture
-from gtcal.errors_in_variables import ref_T_body_covariance
-from gtcal.options import MocapSigmas
+from gtcal.estimation.errors_in_variables import ref_T_body_covariance
+from gtcal.estimation.options import MocapSigmas
+from gtcal.recordings.capture import Capture
+from gtcal.results.calibration import ERRORS_IN_VARIABLES, NAIVE, PoseEstimate, pose_difference
 from gtcal.simulation import MocapNoise, SimulationOptions, simulate
 
 SIGMAS = MocapSigmas(translation_mm=0.2, rotation_deg=0.02)

@@ -8,10 +8,10 @@ from scipy.spatial.transform import Rotation
 from factors import FISHEYE62
 from gtcal.board import ArucoGrid
 from gtcal.camera import Camera
-from gtcal.face_centres import face_centres
-from gtcal.lollypop import Face
-from gtcal.pnp import _turn_to
+from gtcal.estimation.pnp import _turn_to
 from gtcal.simulation import quest3_like_rig
+from gtcal.verification.face_centres import face_centres
+from gtcal.verification.lollypop import Face
 
 TAG = Face(ArucoGrid("DICT_5X5_50", 1, 1, 0.06, 0.015))
 GRID = Face(ArucoGrid("DICT_5X5_50", 2, 3, 0.03, 0.01))

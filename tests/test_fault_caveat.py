@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gtcal.verification import Fault
+from gtcal.verification.verification import Fault
 
 
 def fault(before_px: float, after_px: float) -> Fault:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from gtcal.errors import GtcalError
-from gtcal.images import image_folder, image_list, read_grey
+from gtcal.recordings.images import image_folder, image_list, read_grey
 
 STAMPS_NS = (1_606_153_907_495_166_540, 1_606_153_907_528_499_873, 1_606_153_907_561_833_206)
 PICTURE = (np.indices((12, 16)).sum(axis=0) * 9).astype(np.uint8)

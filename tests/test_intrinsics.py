@@ -14,15 +14,15 @@ from scipy.spatial.transform import Rotation
 
 from factors import CAMERA_MODELS, PINHOLE_RADTAN
 from gtcal.camera import Camera
-from gtcal.capture import Capture
 from gtcal.errors import GtcalError
-from gtcal.intrinsics import calibrate_intrinsics
-from gtcal.observations import Views, synchronise
-from gtcal.options import CalibrationOptions
-from gtcal.recording import load_recording
-from gtcal.residuals import select_corners, select_views
+from gtcal.estimation.intrinsics import calibrate_intrinsics
+from gtcal.estimation.observations import Views, synchronise
+from gtcal.estimation.options import CalibrationOptions
+from gtcal.estimation.residuals import select_corners, select_views
+from gtcal.estimation.solver import calibrate_observations
+from gtcal.recordings.capture import Capture
+from gtcal.recordings.recording import load_recording
 from gtcal.simulation import CornerNoise, Rig, Simulation, SimulationOptions, fixed_cameras_rig, simulate
-from gtcal.solver import calibrate_observations
 from gtcal.workflow import calibrate
 
 

@@ -12,14 +12,14 @@ from support import replace_once
 
 from gtcal.cli import main
 from gtcal.errors import GtcalError
-from gtcal.lollypop import DEVICE_PRESETS, device_from_manifest, device_manifest_schema
-from gtcal.lollypop_recording import (
+from gtcal.recordings.recording import load_recording
+from gtcal.simulation.lollypop import LollypopOptions, simulate_lollypop, write_lollypop_simulation
+from gtcal.verification.lollypop import DEVICE_PRESETS, device_from_manifest, device_manifest_schema
+from gtcal.verification.lollypop_recording import (
     load_lollypop_recording,
     read_device,
     write_lollypop_recording,
 )
-from gtcal.recording import load_recording
-from gtcal.simulation.lollypop import LollypopOptions, simulate_lollypop, write_lollypop_simulation
 
 PAPER = DEVICE_PRESETS["paper_lollypop"]
 

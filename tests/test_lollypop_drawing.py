@@ -9,9 +9,9 @@ from test_verification import CUBE
 
 from gtcal.cli import main
 from gtcal.errors import GtcalError
-from gtcal.lollypop import DEVICE_PRESETS
-from gtcal.lollypop_detection import see_lollypop
-from gtcal.lollypop_drawing import draw_lollypop, lollypop_sheet
+from gtcal.verification.lollypop import DEVICE_PRESETS
+from gtcal.verification.lollypop_detection import see_lollypop
+from gtcal.verification.lollypop_drawing import draw_lollypop, lollypop_sheet
 
 PAPER = DEVICE_PRESETS["paper_lollypop"]
 DPI = 300

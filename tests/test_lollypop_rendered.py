@@ -10,13 +10,10 @@ import numpy as np
 import pytest
 
 from factors.rigid import inverse
-from gtcal.calibration_file import write_calibration
 from gtcal.cli import main
 from gtcal.errors import GtcalError
-from gtcal.images import GreyImage
-from gtcal.lollypop import device_from_manifest
-from gtcal.lollypop_detection import see_lollypop
-from gtcal.lollypop_recording import load_lollypop_recording
+from gtcal.recordings.images import GreyImage
+from gtcal.results.calibration_file import write_calibration
 from gtcal.simulation import quest3_like_rig
 from gtcal.simulation.filming import Studio
 from gtcal.simulation.lollypop import (
@@ -26,9 +23,12 @@ from gtcal.simulation.lollypop import (
     write_lollypop_simulation,
 )
 from gtcal.simulation.rendering import Lens
-from gtcal.verification import VerificationOptions
-from gtcal.verification_file import read_verification
-from gtcal.verification_workflow import verify
+from gtcal.verification.lollypop import device_from_manifest
+from gtcal.verification.lollypop_detection import see_lollypop
+from gtcal.verification.lollypop_recording import load_lollypop_recording
+from gtcal.verification.verification import VerificationOptions
+from gtcal.verification.verification_file import read_verification
+from gtcal.verification.workflow import verify
 
 DEVICE = LollypopOptions().device
 

@@ -6,7 +6,7 @@ import pytest
 import yaml
 
 from gtcal.errors import GtcalError
-from gtcal.manifest import find_manifest, manifest_schema, read_manifest, write_manifest
+from gtcal.recordings.manifest import find_manifest, manifest_schema, read_manifest, write_manifest
 
 
 def valid() -> dict[str, Any]:

@@ -10,11 +10,11 @@ from calibration_support import KINDS, errors, simulated
 from scipy.spatial.transform import Rotation
 
 from gtcal.errors import GtcalError
-from gtcal.motion import Turning, check_turning, turning
-from gtcal.observations import synchronise
-from gtcal.options import CalibrationOptions
+from gtcal.estimation.motion import Turning, check_turning, turning
+from gtcal.estimation.observations import synchronise
+from gtcal.estimation.options import CalibrationOptions
+from gtcal.estimation.solver import calibrate_observations
 from gtcal.simulation.transforms import transform
-from gtcal.solver import calibrate_observations
 
 FAR_M = np.array([3.0, -2.0, 1.0])
 

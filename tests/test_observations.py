@@ -7,12 +7,12 @@ import pytest
 from support import random_detections
 
 from factors.rigid import inverse
-from gtcal.capture import Capture
-from gtcal.detections import CameraDetections
 from gtcal.errors import GtcalError
-from gtcal.observations import synchronise
-from gtcal.recording import Recording, load_recording
-from gtcal.trajectory import Trajectory
+from gtcal.estimation.observations import synchronise
+from gtcal.recordings.capture import Capture
+from gtcal.recordings.detections import CameraDetections
+from gtcal.recordings.recording import Recording, load_recording
+from gtcal.recordings.trajectory import Trajectory
 
 MS = 1_000_000
 

@@ -11,9 +11,9 @@ from scipy.spatial.transform import Rotation
 
 from gtcal.board import AprilGrid
 from gtcal.camera import Camera
-from gtcal.observations import Views, synchronise
-from gtcal.pnp import solve_pnp
-from gtcal.residuals import select_corners, select_views
+from gtcal.estimation.observations import Views, synchronise
+from gtcal.estimation.pnp import solve_pnp
+from gtcal.estimation.residuals import select_corners, select_views
 from gtcal.simulation import CornerNoise, quest3_like_rig
 from gtcal.simulation.transforms import apply, transform
 

@@ -11,9 +11,9 @@ from calibration_support import HEADSET, NO_MOCAP_NOISE, errors_of, guides, simu
 from scipy.spatial.transform import Rotation
 
 from factors.alignment import corner_moments
-from gtcal.alignment import GuideViews, fitting_views, stage_1, stage_2
-from gtcal.observations import synchronise
-from gtcal.procrustes import (
+from gtcal.estimation.alignment import GuideViews, fitting_views, stage_1, stage_2
+from gtcal.estimation.observations import synchronise
+from gtcal.estimation.procrustes import (
     N_RANDOM_ROTATIONS,
     N_STARTS,
     AlignmentSums,

@@ -8,12 +8,12 @@ import pytest
 import yaml
 from support import replace_once, wandering_trajectory
 
-from gtcal.capture import Capture
-from gtcal.detections import CameraDetections
 from gtcal.errors import GtcalError
 from gtcal.files import fingerprint
-from gtcal.images import image_folder
-from gtcal.recording import Recording, load_recording, write_recording
+from gtcal.recordings.capture import Capture
+from gtcal.recordings.detections import CameraDetections
+from gtcal.recordings.images import image_folder
+from gtcal.recordings.recording import Recording, load_recording, write_recording
 
 
 def assert_same(a: Recording, b: Recording) -> None:

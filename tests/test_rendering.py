@@ -14,10 +14,10 @@ from factors import CAMERA_MODELS, PINHOLE_RADTAN
 from factors.rigid import inverse
 from gtcal.board import PAPER_A2, AprilGrid, ArucoGrid, Board, CharucoBoard
 from gtcal.camera import Camera
-from gtcal.capture import Capture
-from gtcal.detection import detect
-from gtcal.images import read_grey
-from gtcal.recording import load_recording
+from gtcal.detection.detect import detect
+from gtcal.recordings.capture import Capture
+from gtcal.recordings.images import read_grey
+from gtcal.recordings.recording import load_recording
 from gtcal.simulation import (
     ImageOptions,
     Simulation,

@@ -14,16 +14,16 @@ from browser import look_at
 
 import gtcal
 from gtcal.board import AprilGrid
-from gtcal.calibration import Calibration
-from gtcal.calibration_file import read_calibration, write_calibration
-from gtcal.capture import Capture
 from gtcal.cli import main
 from gtcal.errors import GtcalError
-from gtcal.recording import Recording, load_recording
+from gtcal.recordings.capture import Capture
+from gtcal.recordings.recording import Recording, load_recording
 from gtcal.report import Evidence, gather_evidence, render, write_report
 from gtcal.report.evidence import CameraEvidence
 from gtcal.report.residual_figures import covered_share
 from gtcal.report.scene import build_scene
+from gtcal.results.calibration import Calibration
+from gtcal.results.calibration_file import read_calibration, write_calibration
 from gtcal.simulation import MocapNoise, SimulationOptions, fixed_cameras_rig, simulate, write_simulation
 
 COLOURS = {"cam0": "#0072b2", "cam1": "#d55e00"}

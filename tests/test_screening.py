@@ -9,10 +9,10 @@ import pytest
 from calibration_support import HEADSET, NO_MOCAP_NOISE, simulated, true_ref_T_body
 from scipy.spatial.transform import Rotation
 
-from gtcal.estimate import Estimate
-from gtcal.observations import Views, synchronise
-from gtcal.residuals import chain_residuals_px, median_by_view, select_corners, select_views
-from gtcal.screening import FLOOR_PX, Screened, keep_all, screen
+from gtcal.estimation.estimate import Estimate
+from gtcal.estimation.observations import Views, synchronise
+from gtcal.estimation.residuals import chain_residuals_px, median_by_view, select_corners, select_views
+from gtcal.estimation.screening import FLOOR_PX, Screened, keep_all, screen
 from gtcal.simulation import CornerNoise, Simulation
 from gtcal.simulation.transforms import transform
 

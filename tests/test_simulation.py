@@ -14,11 +14,12 @@ from scipy.spatial.transform import Rotation
 
 from factors.rigid import inverse
 from gtcal.board import PAPER_A2, AprilGrid, CharucoBoard
-from gtcal.capture import Capture
 from gtcal.cli.simulate import simulate as simulate_command
 from gtcal.errors import GtcalError
-from gtcal.observations import synchronise
-from gtcal.recording import load_recording
+from gtcal.estimation.observations import synchronise
+from gtcal.recordings.capture import Capture
+from gtcal.recordings.recording import load_recording
+from gtcal.recordings.trajectory import Trajectory
 from gtcal.simulation import (
     CornerNoise,
     IntrinsicsError,
@@ -34,7 +35,6 @@ from gtcal.simulation import (
 from gtcal.simulation.quest3 import FRONT_LEFT, FRONT_RIGHT
 from gtcal.simulation.scene import BOARD_SPEED_M_S, BOARD_TURN_RATE_RAD_S, RIG_SPEED_M_S, RIG_TURN_RATE_RAD_S
 from gtcal.simulation.simulate import START_NS
-from gtcal.trajectory import Trajectory
 
 NO_MOCAP_NOISE = MocapNoise(translation_mm=0.0, rotation_deg=0.0)
 CHARUCO = CharucoBoard("DICT_5X5_100", 8, 6, 0.06, 0.045)

@@ -22,18 +22,18 @@ from scipy.optimize import least_squares
 
 from factors import ROBUST_KERNELS, RobustKernel
 from factors.moments import chain
-from gtcal.adjustment import adjust, covariances
-from gtcal.alignment import stage_1, stage_2
-from gtcal.calibration import Calibration
 from gtcal.camera import Camera
 from gtcal.errors import GtcalError
-from gtcal.graph import camera_T_ref_key, minimise, reprojection_graph, to_values
-from gtcal.observations import Observations, Views, synchronise
-from gtcal.options import CalibrationOptions
-from gtcal.residuals import select_corners, select_views
+from gtcal.estimation.adjustment import adjust, covariances
+from gtcal.estimation.alignment import stage_1, stage_2
+from gtcal.estimation.graph import camera_T_ref_key, minimise, reprojection_graph, to_values
+from gtcal.estimation.observations import Observations, Views, synchronise
+from gtcal.estimation.options import CalibrationOptions
+from gtcal.estimation.residuals import select_corners, select_views
+from gtcal.estimation.solver import DisagreementError, calibrate_observations
+from gtcal.results.calibration import Calibration
 from gtcal.simulation import CornerNoise, MocapNoise, Simulation
 from gtcal.simulation.transforms import apply
-from gtcal.solver import DisagreementError, calibrate_observations
 
 FIXED = "pinholes and fisheyes fixed"
 GOOD_MOCAP = MocapNoise(translation_mm=0.05, rotation_deg=0.005)

@@ -10,11 +10,11 @@ import pytest
 from calibration_support import HEADSET, errors, near, simulated
 
 from factors.rigid import inverse
-from gtcal.observations import synchronise
-from gtcal.recording import Recording
-from gtcal.solver import DisagreementError
-from gtcal.suspects import likely_mistake
-from gtcal.trajectory import poses_from_quaternions, quaternions_from_poses
+from gtcal.estimation.observations import synchronise
+from gtcal.estimation.solver import DisagreementError
+from gtcal.estimation.suspects import likely_mistake
+from gtcal.recordings.recording import Recording
+from gtcal.recordings.trajectory import poses_from_quaternions, quaternions_from_poses
 from gtcal.workflow import calibrate
 
 STANDING = "headset, AprilGrid stands"

@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 from support import EPOCH_NS, wandering_trajectory
 
 from gtcal.errors import GtcalError
-from gtcal.trajectory import Gap, Trajectory, poses_from_quaternions, quaternions_from_poses
+from gtcal.recordings.trajectory import Gap, Trajectory, poses_from_quaternions, quaternions_from_poses
 
 MS = 1_000_000
 

@@ -9,7 +9,7 @@ from support import EPOCH_NS, wandering_trajectory
 
 from gtcal.errors import GtcalError
 from gtcal.readers import PoseConventions, read_euroc_csv, read_tum, write_euroc_csv, write_tum
-from gtcal.trajectory import Trajectory
+from gtcal.recordings.trajectory import Trajectory
 
 METRES = PoseConventions(length_unit="m")
 PLAIN_HEADER = "timestamp [ns],x,y,z,qx,qy,qz,qw"

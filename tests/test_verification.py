@@ -10,16 +10,13 @@ import numpy as np
 import pytest
 
 from factors.rigid import inverse
-from gtcal.blocks import fit_covariance, sum_covariance
-from gtcal.calibration import Calibration
-from gtcal.calibration_file import write_calibration
-from gtcal.capture import Capture
 from gtcal.cli import main
-from gtcal.detections import CameraDetections
-from gtcal.error_statistics import rmse_bounds
 from gtcal.errors import GtcalError
-from gtcal.lollypop import device_from_manifest
-from gtcal.lollypop_recording import LollypopRecording, load_lollypop_recording
+from gtcal.recordings.capture import Capture
+from gtcal.recordings.detections import CameraDetections
+from gtcal.recordings.trajectory import Trajectory
+from gtcal.results.calibration import Calibration
+from gtcal.results.calibration_file import write_calibration
 from gtcal.simulation import CornerNoise, MocapNoise, SimulationOptions, fixed_cameras_rig, simulate
 from gtcal.simulation.lollypop import (
     LollypopOptions,
@@ -31,11 +28,14 @@ from gtcal.simulation.lollypop import (
 )
 from gtcal.simulation.noise import pose_noise
 from gtcal.simulation.simulate import scene_of
-from gtcal.trajectory import Trajectory
-from gtcal.verdict import camera_verdict
-from gtcal.verification import ErrorStatistics, Verdict, Verification, VerificationOptions, error_classes
-from gtcal.verification_file import read_verification, write_sightings, write_verification
-from gtcal.verification_workflow import verify
+from gtcal.verification.blocks import fit_covariance, sum_covariance
+from gtcal.verification.error_statistics import rmse_bounds
+from gtcal.verification.lollypop import device_from_manifest
+from gtcal.verification.lollypop_recording import LollypopRecording, load_lollypop_recording
+from gtcal.verification.verdict import camera_verdict
+from gtcal.verification.verification import ErrorStatistics, Verdict, Verification, VerificationOptions, error_classes
+from gtcal.verification.verification_file import read_verification, write_sightings, write_verification
+from gtcal.verification.workflow import verify
 
 EXACT = LollypopOptions(corners=CornerNoise(pixel_px=0.0), mocap=MocapNoise(0.0, 0.0), mocap_rate_hz=480.0)
 HALF = float(np.sqrt(0.5))

@@ -11,16 +11,15 @@ import numpy as np
 import pytest
 from browser import look_at
 
-from gtcal.calibration import Calibration
-from gtcal.calibration_file import read_calibration, write_calibration
 from gtcal.cli import main
 from gtcal.errors import GtcalError
-from gtcal.lollypop_recording import LollypopRecording, load_lollypop_recording
-from gtcal.recording import load_recording
+from gtcal.recordings.recording import load_recording
 from gtcal.report import render, write_report
 from gtcal.report.overlay import overlays
 from gtcal.report.scene import build_scene
 from gtcal.report.verification_figures import mean_errors
+from gtcal.results.calibration import Calibration
+from gtcal.results.calibration_file import read_calibration, write_calibration
 from gtcal.simulation import SimulationOptions, quest3_like_rig, simulate, write_simulation
 from gtcal.simulation.lollypop import (
     LollypopOptions,
@@ -29,8 +28,9 @@ from gtcal.simulation.lollypop import (
     small_motion,
     write_lollypop_simulation,
 )
-from gtcal.verification import Verdict, Verification
-from gtcal.verification_workflow import verify
+from gtcal.verification.lollypop_recording import LollypopRecording, load_lollypop_recording
+from gtcal.verification.verification import Verdict, Verification
+from gtcal.verification.workflow import verify
 from gtcal.workflow import calibrate
 
 MOVED = "side_right"

@@ -137,9 +137,9 @@ def _manifest_lines(board: Board) -> str:
 def _draw_lollypop(output: Path, file: Path | None, page: str | None, dpi: int, quiet: bool) -> None:
     import yaml
 
-    from gtcal.lollypop import DEVICE_PRESETS, PAPER_LOLLYPOP
-    from gtcal.lollypop_drawing import draw_lollypop
-    from gtcal.lollypop_recording import read_device
+    from gtcal.verification.lollypop import DEVICE_PRESETS, PAPER_LOLLYPOP
+    from gtcal.verification.lollypop_drawing import draw_lollypop
+    from gtcal.verification.lollypop_recording import read_device
 
     device = DEVICE_PRESETS[PAPER_LOLLYPOP] if file is None else read_device(file)
     sheet = draw_lollypop(device, output, page=page, dpi=dpi)

@@ -9,10 +9,10 @@ import tyro
 
 if TYPE_CHECKING:
     from factors import RobustKernel
-    from gtcal.calibration import Calibration
-    from gtcal.options import MocapSigmas
+    from gtcal.estimation.options import MocapSigmas
     from gtcal.progress import Progress
-    from gtcal.recording import Recording
+    from gtcal.recordings.recording import Recording
+    from gtcal.results.calibration import Calibration
 
 KernelName = Literal[
     "Null",
@@ -93,11 +93,11 @@ def calibrate(
         verbose: Print the stages, and what was left out and why.
         quiet: Show no progress and print nothing.
     """
-    from gtcal.calibration_file import write_calibration
     from gtcal.cli.progress import shown_progress
     from gtcal.cli.tables import print_calibration
-    from gtcal.options import CalibrationOptions, IntrinsicsMode
-    from gtcal.recording import load_recording
+    from gtcal.estimation.options import CalibrationOptions, IntrinsicsMode
+    from gtcal.recordings.recording import load_recording
+    from gtcal.results.calibration_file import write_calibration
     from gtcal.workflow import calibrate as run
 
     modes: dict[tuple[bool, bool], IntrinsicsMode] = {
@@ -137,7 +137,7 @@ def calibrate(
 
 def _mocap(sigma_mm: float | None, sigma_deg: float | None) -> MocapSigmas | None:
     from gtcal.errors import GtcalError
-    from gtcal.options import MocapSigmas
+    from gtcal.estimation.options import MocapSigmas
 
     if sigma_mm is None and sigma_deg is None:
         return None

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 if TYPE_CHECKING:
-    from gtcal.calibration import Calibration
     from gtcal.progress import Progress
-    from gtcal.recording import Recording
+    from gtcal.recordings.recording import Recording
+    from gtcal.results.calibration import Calibration
     from gtcal.simulation import Simulation
-    from gtcal.verification import Verification
+    from gtcal.verification.verification import Verification
 
 MOCAP_MM, MOCAP_DEG = 0.05, 0.005
 
@@ -40,15 +40,15 @@ def demo(
         seed: Another number, other recordings.
         quiet: Show no progress and print nothing.
     """
-    from gtcal.calibration_file import write_calibration
     from gtcal.cli.progress import shown_progress
     from gtcal.cli.tables import print_calibration, print_errors
     from gtcal.cli.verification_tables import print_verification
+    from gtcal.estimation.options import CalibrationOptions, MocapSigmas
     from gtcal.files import write_text
-    from gtcal.options import CalibrationOptions, MocapSigmas
     from gtcal.report import gather_evidence, write_report
+    from gtcal.results.calibration_file import write_calibration
     from gtcal.simulation import MocapNoise, SimulationOptions, quest3_like_rig, simulate
-    from gtcal.verification_file import write_verification
+    from gtcal.verification.verification_file import write_verification
     from gtcal.workflow import calibrate
 
     _clear_earlier_demo(output)
@@ -75,7 +75,7 @@ def demo(
 
 def _recorded(simulation: Simulation, folder: Path, progress: Progress) -> Recording:
     """What the detector finds in the simulation's images."""
-    from gtcal.recording import load_recording
+    from gtcal.recordings.recording import load_recording
     from gtcal.simulation import write_simulation
     from gtcal.workflow import detected
 
@@ -86,9 +86,9 @@ def _recorded(simulation: Simulation, folder: Path, progress: Progress) -> Recor
 def _verified(
     simulation: Simulation, calibration: Calibration, folder: Path, frames: int, progress: Progress
 ) -> Verification:
-    from gtcal.lollypop_recording import load_lollypop_recording
     from gtcal.simulation.lollypop import LollypopOptions, simulate_lollypop, write_lollypop_simulation
-    from gtcal.verification_workflow import verify
+    from gtcal.verification.lollypop_recording import load_lollypop_recording
+    from gtcal.verification.workflow import verify
 
     options = LollypopOptions(rig=simulation.options.rig, calibrated_in=simulation.scene, n_frames=frames)
     lollypop = simulate_lollypop(options, seed=simulation.seed + 1)

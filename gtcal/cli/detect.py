@@ -30,8 +30,8 @@ def detect(
 
     from gtcal.cli.progress import shown_progress
     from gtcal.cli.tables import detection_table
-    from gtcal.detection_files import write_detections
-    from gtcal.recording import load_recording
+    from gtcal.recordings.detection_files import write_detections
+    from gtcal.recordings.recording import load_recording
     from gtcal.workflow import detected
 
     loaded = load_recording(recording)

@@ -41,15 +41,15 @@ def drift(
     """
     import time
 
-    from gtcal.calibration_file import read_calibration
     from gtcal.cli.progress import shown_progress
     from gtcal.cli.verification_tables import print_drift
-    from gtcal.drift import verify_series, write_drift_csv, write_drift_json
-    from gtcal.drift_figure import draw_drift
     from gtcal.files import fingerprint
-    from gtcal.lollypop_recording import load_lollypop_recording
-    from gtcal.provenance import provenance
-    from gtcal.verification import VerificationOptions
+    from gtcal.results.calibration_file import read_calibration
+    from gtcal.results.provenance import provenance
+    from gtcal.verification.drift import verify_series, write_drift_csv, write_drift_json
+    from gtcal.verification.drift_figure import draw_drift
+    from gtcal.verification.lollypop_recording import load_lollypop_recording
+    from gtcal.verification.verification import VerificationOptions
 
     started = time.perf_counter()
     options = VerificationOptions(max_rmse_px=max_rmse_px, max_rmse_mm=max_rmse_mm, confidence=confidence)

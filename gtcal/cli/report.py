@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 if TYPE_CHECKING:
-    from gtcal.calibration import Calibration
     from gtcal.progress import Progress
-    from gtcal.verification import Verification
+    from gtcal.results.calibration import Calibration
+    from gtcal.verification.verification import Verification
 
 
 def report(
@@ -37,10 +37,10 @@ def report(
         output: File to write.
         quiet: Show no progress and print nothing.
     """
-    from gtcal.calibration_file import read_calibration
     from gtcal.cli.progress import shown_progress
-    from gtcal.recording import load_recording
+    from gtcal.recordings.recording import load_recording
     from gtcal.report import gather_evidence, write_report
+    from gtcal.results.calibration_file import read_calibration
 
     read = read_calibration(calibration)
     with shown_progress(quiet) as progress:
@@ -58,9 +58,9 @@ def _verification(
     """As read from its file, or again from its recording. ``path``: the calibration's."""
     from gtcal.errors import GtcalError
     from gtcal.files import fingerprint
-    from gtcal.lollypop_recording import load_lollypop_recording
-    from gtcal.verification_file import read_verification
-    from gtcal.verification_workflow import verify
+    from gtcal.verification.lollypop_recording import load_lollypop_recording
+    from gtcal.verification.verification_file import read_verification
+    from gtcal.verification.workflow import verify
 
     read = read_verification(file) if file is not None else None
     used = fingerprint(path)

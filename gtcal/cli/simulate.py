@@ -97,8 +97,8 @@ def simulate(
         quiet: Show no progress and print nothing.
     """
     from gtcal.board import load_board
-    from gtcal.capture import Capture
     from gtcal.cli.progress import shown_progress
+    from gtcal.recordings.capture import Capture
     from gtcal.simulation import (
         CornerNoise,
         MocapNoise,

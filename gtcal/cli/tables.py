@@ -11,9 +11,9 @@ from rich.table import Table
 from rich.text import Text
 
 from factors.rigid import inverse
-from gtcal.calibration import ERRORS_IN_VARIABLES, NAIVE, Calibration, StageReport, pose_difference
 from gtcal.camera import FloatArray
-from gtcal.recording import Recording
+from gtcal.recordings.recording import Recording
+from gtcal.results.calibration import ERRORS_IN_VARIABLES, NAIVE, Calibration, StageReport, pose_difference
 from gtcal.simulation import GroundTruth
 
 _COVARIANCES = {

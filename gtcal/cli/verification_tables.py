@@ -7,8 +7,8 @@ from rich.console import Console, Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from gtcal.drift import Drift
-from gtcal.verification import CameraVerification, Verdict, Verification
+from gtcal.verification.drift import Drift
+from gtcal.verification.verification import CameraVerification, Verdict, Verification
 
 _STYLES = {Verdict.PASS: "bold green", Verdict.FAIL: "bold red", Verdict.INCONCLUSIVE: "bold yellow"}
 _WORDS = {

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 if TYPE_CHECKING:
-    from gtcal.calibration import Calibration
-    from gtcal.verification import Verification
+    from gtcal.results.calibration import Calibration
+    from gtcal.verification.verification import Verification
 
 
 def verify(
@@ -59,14 +59,14 @@ def verify(
         verbose: Print also what was left out and why.
         quiet: Show no progress and print nothing; the exit code tells.
     """
-    from gtcal.calibration_file import read_calibration
     from gtcal.cli.progress import shown_progress
     from gtcal.cli.verification_tables import print_verification
     from gtcal.files import fingerprint
-    from gtcal.lollypop_recording import load_lollypop_recording
-    from gtcal.verification import VerificationOptions
-    from gtcal.verification_file import write_sightings, write_verification
-    from gtcal.verification_workflow import verify as run
+    from gtcal.results.calibration_file import read_calibration
+    from gtcal.verification.lollypop_recording import load_lollypop_recording
+    from gtcal.verification.verification import VerificationOptions
+    from gtcal.verification.verification_file import write_sightings, write_verification
+    from gtcal.verification.workflow import verify as run
 
     options = VerificationOptions(
         max_rmse_px=max_rmse_px,

@@ -10,7 +10,7 @@ from gtcal.readers.euroc_csv import write_euroc_csv as write_euroc_csv
 from gtcal.readers.poses import PoseConventions as PoseConventions
 from gtcal.readers.tum import read_tum as read_tum
 from gtcal.readers.tum import write_tum as write_tum
-from gtcal.trajectory import Trajectory
+from gtcal.recordings.trajectory import Trajectory
 
 
 class TrajectoryReader(Protocol):

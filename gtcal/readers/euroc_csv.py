@@ -22,8 +22,8 @@ from gtcal.readers.poses import (
     settle,
     trajectory_from_rows,
 )
-from gtcal.text_table import Kind, TextTable, open_table
-from gtcal.trajectory import QuaternionOrder, Trajectory, quaternions_from_poses
+from gtcal.recordings.text_table import Kind, TextTable, open_table
+from gtcal.recordings.trajectory import QuaternionOrder, Trajectory, quaternions_from_poses
 
 _UNIT = re.compile(r"^(?P<name>.*?)\s*(?:[\[(](?P<bracketed>[^\])]*)[\])]|_(?P<suffix>ns|us|ms|s|m|mm))?$")
 _STAMP = re.compile(r"^(timestamp|time|stamp|ts|t)$")

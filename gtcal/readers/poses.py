@@ -11,10 +11,10 @@ import numpy.typing as npt
 
 from factors.rigid import inverse
 from gtcal.camera import FloatArray
-from gtcal.detections import IntArray
 from gtcal.errors import GtcalError
-from gtcal.text_table import TextTable
-from gtcal.trajectory import QuaternionOrder, Trajectory, poses_from_quaternions
+from gtcal.recordings.detections import IntArray
+from gtcal.recordings.text_table import TextTable
+from gtcal.recordings.trajectory import QuaternionOrder, Trajectory, poses_from_quaternions
 
 LengthUnit = Literal["m", "mm"]
 TimeUnit = Literal["ns", "us", "ms", "s"]

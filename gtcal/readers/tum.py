@@ -14,8 +14,8 @@ import numpy as np
 from gtcal.errors import GtcalError
 from gtcal.files import write_aside
 from gtcal.readers.poses import PoseConventions, settle, trajectory_from_rows
-from gtcal.text_table import Kind, TextTable, open_table
-from gtcal.trajectory import QuaternionOrder, Trajectory, quaternions_from_poses
+from gtcal.recordings.text_table import Kind, TextTable, open_table
+from gtcal.recordings.trajectory import QuaternionOrder, Trajectory, quaternions_from_poses
 
 _FORMAT = PoseConventions(quaternion="xyzw", length_unit="m", time_unit="s", pose="world_T_body")
 _COLUMNS: list[tuple[str, Kind]] = [

@@ -5,15 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from gtcal.board import board_from_manifest
-from gtcal.calibration import ERRORS_IN_VARIABLES, NAIVE, Calibration, CameraCalibration, PoseEstimate
 from gtcal.camera import FloatArray
 from gtcal.progress import Progress, silent
+from gtcal.recordings.trajectory import quaternions_from_poses
 from gtcal.report.evidence import Evidence
 from gtcal.report.pictures import CAMERA_COLOURS, Picture
 from gtcal.report.residual_figures import covered_share, residual_pictures
 from gtcal.report.scene import BODY_NAMES, REF_NAMES, Scene, build_scene
-from gtcal.trajectory import quaternions_from_poses
-from gtcal.verification import Verification
+from gtcal.results.calibration import ERRORS_IN_VARIABLES, NAIVE, Calibration, CameraCalibration, PoseEstimate
+from gtcal.verification.verification import Verification
 
 MOST_DETAILED_CAMERAS = 12
 """Cameras with figures of their own: those that fit worst. More would make the page heavy and nobody would read it."""

@@ -11,16 +11,16 @@ from pathlib import Path
 
 import numpy as np
 
-from gtcal.calibration import Calibration, ResidualStatistics
 from gtcal.camera import BoolArray, Camera, FloatArray
-from gtcal.detections import IntArray
 from gtcal.errors import GtcalError
-from gtcal.estimate import Estimate
-from gtcal.observations import Dropped, Views, synchronise
+from gtcal.estimation.estimate import Estimate
+from gtcal.estimation.observations import Dropped, Views, synchronise
+from gtcal.estimation.residuals import chain_residuals_px, norms
+from gtcal.estimation.screening import keep_all, screen
 from gtcal.progress import Progress, silent
-from gtcal.recording import Recording
-from gtcal.residuals import chain_residuals_px, norms
-from gtcal.screening import keep_all, screen
+from gtcal.recordings.detections import IntArray
+from gtcal.recordings.recording import Recording
+from gtcal.results.calibration import Calibration, ResidualStatistics
 from gtcal.workflow import detected
 
 

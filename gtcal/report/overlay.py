@@ -10,11 +10,11 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
 from gtcal.camera import FloatArray
-from gtcal.detections import IntArray
-from gtcal.images import GreyImage
-from gtcal.lollypop_recording import LollypopRecording
+from gtcal.recordings.detections import IntArray
+from gtcal.recordings.images import GreyImage
 from gtcal.report.pictures import BLUE, ORANGE, Picture, picture, styled_figure
-from gtcal.verification import Sightings, Verification
+from gtcal.verification.lollypop_recording import LollypopRecording
+from gtcal.verification.verification import Sightings, Verification
 
 MOST_OVERLAYS = 12
 _APART_NS = 1_000_000_000

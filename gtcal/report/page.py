@@ -8,14 +8,14 @@ from pathlib import Path
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
-from gtcal.calibration import Calibration
 from gtcal.errors import GtcalError
 from gtcal.files import write_text
 from gtcal.progress import Progress, silent
 from gtcal.report.calibration_part import calibration_part
 from gtcal.report.evidence import Evidence
 from gtcal.report.verification_part import verification_part
-from gtcal.verification import Verification
+from gtcal.results.calibration import Calibration
+from gtcal.verification.verification import Verification
 
 
 def write_report(

@@ -10,11 +10,11 @@ import numpy as np
 
 from factors.rigid import inverse
 from gtcal.board import board_from_manifest
-from gtcal.calibration import Calibration
 from gtcal.camera import Camera, FloatArray
-from gtcal.capture import Capture
+from gtcal.recordings.capture import Capture
 from gtcal.report.evidence import Evidence
-from gtcal.verification import Verification
+from gtcal.results.calibration import Calibration
+from gtcal.verification.verification import Verification
 
 _MOST_BOARDS = 24
 _MOST_PATH_POINTS = 400

@@ -23,7 +23,7 @@ from gtcal.report.plots import (
     vector_scatter,
 )
 from gtcal.report.residual_figures import PALE
-from gtcal.verification import (
+from gtcal.verification.verification import (
     ERROR_CLASS_LIMITS_PX,
     CameraVerification,
     ErrorClass,

@@ -6,12 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gtcal.calibration import Calibration
 from gtcal.report.calibration_part import MOST_DETAILED_CAMERAS, Tile, largest
 from gtcal.report.overlay import overlays
 from gtcal.report.pictures import Picture
 from gtcal.report.verification_figures import triangulation, verification_pictures
-from gtcal.verification import (
+from gtcal.results.calibration import Calibration
+from gtcal.verification.verification import (
     CameraVerification,
     ErrorStatistics,
     Fault,

@@ -8,7 +8,7 @@ import numpy as np
 
 from gtcal.board import Board
 from gtcal.camera import BoolArray, Camera, FloatArray
-from gtcal.detections import CameraDetections, IntArray
+from gtcal.recordings.detections import CameraDetections, IntArray
 from gtcal.simulation.transforms import apply
 from gtcal.simulation.visibility import Features, ViewLimits, features_of, visible_features
 

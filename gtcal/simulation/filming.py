@@ -12,8 +12,8 @@ import numpy as np
 from factors.rigid import inverse
 from gtcal.cores import all_cores
 from gtcal.files import write_aside
-from gtcal.images import GreyImage, ImageSequence
 from gtcal.progress import Progress
+from gtcal.recordings.images import GreyImage, ImageSequence
 from gtcal.simulation.backdrop import GreyPicture, room
 from gtcal.simulation.rendering import Lens, Plate, lens_of, plate_of, render, sub_exposures
 from gtcal.simulation.simulate import Simulation

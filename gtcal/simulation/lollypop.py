@@ -10,20 +10,18 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from factors.rigid import inverse
-from gtcal.calibration import (
+from gtcal.camera import Camera, FloatArray
+from gtcal.errors import GtcalError
+from gtcal.progress import Progress, silent
+from gtcal.recordings.capture import Capture
+from gtcal.recordings.detections import CameraDetections
+from gtcal.results.calibration import (
     Calibration,
     CameraCalibration,
     PoseEstimate,
     Provenance,
     ResidualStatistics,
 )
-from gtcal.camera import Camera, FloatArray
-from gtcal.capture import Capture
-from gtcal.detections import CameraDetections
-from gtcal.errors import GtcalError
-from gtcal.lollypop import DEVICE_PRESETS, PAPER_LOLLYPOP, Lollypop
-from gtcal.lollypop_recording import LollypopRecording, write_lollypop_recording
-from gtcal.progress import Progress, silent
 from gtcal.simulation.corners import CornerNoise, measured_corners
 from gtcal.simulation.filming import film
 from gtcal.simulation.motion import still
@@ -36,6 +34,8 @@ from gtcal.simulation.simulate import Simulation, simulate_in, stamps_ns
 from gtcal.simulation.transforms import transform
 from gtcal.simulation.visibility import ViewLimits
 from gtcal.simulation.writing import check_empty
+from gtcal.verification.lollypop import DEVICE_PRESETS, PAPER_LOLLYPOP, Lollypop
+from gtcal.verification.lollypop_recording import LollypopRecording, write_lollypop_recording
 
 _FACE_STREAM = 1000  # the random numbers of the second face's corners and on are those of cameras that do not exist
 

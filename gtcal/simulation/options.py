@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from gtcal.board import PAPER_A2, Board
-from gtcal.capture import Capture
 from gtcal.errors import GtcalError
+from gtcal.recordings.capture import Capture
 from gtcal.simulation.corners import CornerNoise
 from gtcal.simulation.noise import MocapNoise
 from gtcal.simulation.rendering import ImageOptions

@@ -9,7 +9,7 @@ import numpy as np
 from factors.kernel import kernel
 from gtcal.board import Board
 from gtcal.camera import FloatArray
-from gtcal.detections import IntArray
+from gtcal.recordings.detections import IntArray
 
 _SAME_EDGE_M = 1e-9
 _FAR_M = 1e3  # beyond the print all is white: the outermost cells reach this far

@@ -20,7 +20,7 @@ from factors.kernel import kernel
 from factors.rigid import inverse
 from gtcal.board import Board
 from gtcal.camera import Camera, FloatArray
-from gtcal.images import GreyImage
+from gtcal.recordings.images import GreyImage
 from gtcal.simulation.backdrop import GreyPicture, brightness_towards
 from gtcal.simulation.pattern import (
     Pattern,

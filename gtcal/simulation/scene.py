@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from factors.rigid import inverse
 from gtcal.board import Board
 from gtcal.camera import FloatArray
-from gtcal.capture import Capture
+from gtcal.recordings.capture import Capture
 from gtcal.simulation.motion import Motion, motion_through, still
 from gtcal.simulation.rig import Rig
 from gtcal.simulation.transforms import random_transform, transform

@@ -7,15 +7,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gtcal.camera import Camera, FloatArray
-from gtcal.detections import IntArray
 from gtcal.errors import GtcalError
-from gtcal.recording import Recording
+from gtcal.recordings.detections import IntArray
+from gtcal.recordings.recording import Recording
+from gtcal.recordings.trajectory import Trajectory
 from gtcal.simulation.corners import MeasuredCorners, measured_corners
 from gtcal.simulation.noise import MocapSamples, measured_body, random_swaps
 from gtcal.simulation.options import IntrinsicsError, SimulationOptions
 from gtcal.simulation.scene import Scene, random_scene
 from gtcal.simulation.truth import CameraTruth, GroundTruth
-from gtcal.trajectory import Trajectory
 
 START_NS = 1_700_000_000_000_000_000
 _MOCAP_LEAD_S = 0.5  # the mocap runs before the first frame and after the last one

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from gtcal.camera import BoolArray, Camera, FloatArray
-from gtcal.detections import IntArray
 from gtcal.errors import GtcalError
+from gtcal.recordings.detections import IntArray
 
 
 @dataclass(frozen=True)

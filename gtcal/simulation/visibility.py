@@ -9,7 +9,7 @@ import numpy as np
 from factors.rigid import inverse
 from gtcal.board import Board, TagGrid
 from gtcal.camera import BoolArray, Camera, FloatArray
-from gtcal.detections import IntArray
+from gtcal.recordings.detections import IntArray
 from gtcal.simulation.transforms import apply
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from gtcal.errors import GtcalError
 from gtcal.progress import Progress, silent
-from gtcal.recording import write_recording
+from gtcal.recordings.recording import write_recording
 from gtcal.simulation.filming import film
 from gtcal.simulation.ground_truth import write_ground_truth
 from gtcal.simulation.simulate import Simulation

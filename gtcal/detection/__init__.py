@@ -1,0 +1,1 @@
+"""Boards found in images: tags, then corners to a fraction of a pixel."""

@@ -1,0 +1,196 @@
+"""The board's corners in a sequence of images: on all cores, and kept beside the recording for the next time."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import logging
+import re
+from concurrent.futures import as_completed
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+import gtcal.board
+from gtcal.board import Board
+from gtcal.camera import Camera
+from gtcal.cores import all_cores
+from gtcal.detection.view_detection import SeenBoard, see_board
+from gtcal.detection.view_detection import detect_view as detect_view
+from gtcal.errors import GtcalError
+from gtcal.files import write_aside
+from gtcal.progress import Progress, silent
+from gtcal.recordings.detections import CameraDetections
+from gtcal.recordings.images import ImageSequence
+from gtcal.verification.lollypop import Lollypop
+from gtcal.verification.lollypop_detection import see_lollypop
+
+CACHE_FOLDER = ".gtcal"
+# What decides, beside gtcal.board, what is found: a cache made by another version of one of these isn't taken.
+_DETECTOR = ("lens_guess", "local_warp", "refinement", "sight", "tags", "view_detection")
+
+_log = logging.getLogger("gtcal")
+
+
+def detect(
+    images: ImageSequence,
+    board: Board | Lollypop,
+    camera: Camera | None = None,
+    *,
+    progress: Progress = silent,
+    workers: int | None = None,
+) -> CameraDetections:
+    """Find the board in every image, as ``detect_view`` does, or a Lollypop, on ``workers`` threads (default: one per
+    core).
+
+    camera: where it has parameters, they help to predict corners. Views where the board isn't recognised are left
+    out; where that is all of them, a warning of the logger "gtcal" says what was seen instead.
+
+    Nearly all the work is compiled code that lets other threads run, so threads serve as well as processes would.
+
+    Raises GtcalError where an image can't be read or isn't of the camera's size."""
+    if camera is not None:
+        images = images.expecting(camera.image_width_px, camera.image_height_px)
+    name = camera.name if camera is not None else "the images"
+    seen: list[SeenBoard | None] = [None] * len(images)
+    with all_cores(workers) as pool:
+        jobs = {pool.submit(_see, images, index, board, camera): index for index in range(len(images))}
+        for done, job in enumerate(as_completed(jobs), start=1):
+            seen[jobs[job]] = job.result()
+            progress(f"detecting the board in {name}", done, len(images))
+    views = [
+        (stamp, view.corner_ids, view.corners_px)
+        for stamp, view in zip(images.stamps_ns.tolist(), seen, strict=True)
+        if view is not None and len(view.corner_ids)
+    ]
+    if not views:
+        _log.warning("%s", _why_none(name, board, camera, [view.n_tags for view in seen if view is not None]))
+    return CameraDetections.from_views(views)
+
+
+def cached_detect(
+    recording_dir: Path,
+    camera_name: str,
+    images: ImageSequence,
+    board: Board | Lollypop,
+    camera: Camera | None = None,
+    *,
+    progress: Progress = silent,
+    workers: int | None = None,
+    redo: bool = False,
+) -> CameraDetections:
+    """As ``detect``, but what was found is kept in ``.gtcal`` in the recording's folder and taken from there as long
+    as the image files (names, sizes, times of change), the board, the intrinsics and the detector are the same.
+
+    redo: detect again all the same. A cache that can't be read is made anew, too. Where the folder can't be written,
+    the corners are returned all the same, and a warning of the logger "gtcal" says so.
+
+    Raises GtcalError where an image can't be read or isn't of the camera's size."""
+    key = _cache_key(images, board, camera)
+    safe_name = re.sub(r"[^\w.-]", "_", camera_name)
+    path = recording_dir / CACHE_FOLDER / f"detections_{safe_name}_{key[:16]}.npz"
+    cached = None if redo else _read_cache(path)
+    if cached is not None:
+        progress(f"detecting the board in {camera_name} (kept from before)", len(images), len(images))
+        return cached
+    found = detect(images, board, camera, progress=progress, workers=workers)
+    try:
+        _write_cache(path, found)
+    except GtcalError as error:
+        _log.warning("the corners found in %s are not kept for the next time: %s", camera_name, error)
+    return found
+
+
+def _see(images: ImageSequence, index: int, board: Board | Lollypop, camera: Camera | None) -> SeenBoard:
+    if isinstance(board, Lollypop):
+        return see_lollypop(images.read(index), board, camera)
+    return see_board(images.read(index), board, camera)
+
+
+def _why_none(name: str, board: Board | Lollypop, camera: Camera | None, n_tags: list[int]) -> str:
+    """What to say where no image shows the board. n_tags: how many of its tags were read in each image."""
+    # One or two of small codes are read by chance in any picture.
+    some = sum(n >= min(3, len(board.tag_ids)) for n in n_tags)
+    if not some:
+        return (
+            f"{name}: none of {len(n_tags)} images shows a tag of the board ({board.describe()}); "
+            "check the board's dictionary and ids, and that the tags are large and sharp enough"
+        )
+    lens = " and the camera's parameters" if camera is not None and camera.parameters is not None else ""
+    return (
+        f"{name}: none of {len(n_tags)} images shows the board ({board.describe()}), but {some} show some of its tags, "
+        "in other places than on the board or only one at a time; check the board's columns, rows, sides and gaps"
+        + lens
+    )
+
+
+def _cache_key(images: ImageSequence, board: Board | Lollypop, camera: Camera | None) -> str:
+    """A fingerprint of all that the corners depend on."""
+    files = [(str(path.name), *_size_and_time(path)) for path in images.paths]
+    lens: Any = None
+    if camera is not None:
+        lens = [camera.model.name, camera.image_width_px, camera.image_height_px]
+        lens.append(None if camera.parameters is None else camera.parameters.tolist())
+    everything = {
+        "detector": _detector_version(),
+        "opencv": cv2.__version__,
+        "board": board.to_manifest(),
+        "lens": lens,
+        "stamps_ns": images.stamps_ns.tolist(),
+        "files": files,
+    }
+    return hashlib.sha256(json.dumps(everything, sort_keys=True).encode()).hexdigest()
+
+
+@lru_cache(maxsize=1)
+def _detector_version() -> str:
+    modules = [Path(__file__).with_name(f"{module}.py") for module in _DETECTOR]
+    sources = (path.read_bytes() for path in (*modules, Path(gtcal.board.__file__)))
+    return hashlib.sha256(b"\0".join(sources)).hexdigest()
+
+
+def _size_and_time(path: Path) -> tuple[int, int]:
+    try:
+        status = path.stat()
+    except OSError as error:
+        raise GtcalError(f"{path}: the image can't be read: {error.strerror}") from error
+    return status.st_size, status.st_mtime_ns
+
+
+def _read_cache(path: Path) -> CameraDetections | None:
+    """What an earlier run kept, None where there is nothing whole."""
+    if not path.is_file():
+        return None
+    try:
+        with np.load(path, allow_pickle=False) as kept:
+            found = CameraDetections(*(kept[name] for name in _CACHED))
+        _check_whole(found)
+    except Exception as error:  # whatever a damaged file makes numpy and zipfile raise
+        _log.warning("%s is damaged (%s); the corners are detected again", path, error)
+        return None
+    return found
+
+
+_CACHED = ("stamps_ns", "view_start", "corner_ids", "corners_px")
+
+
+def _check_whole(found: CameraDetections) -> None:
+    start = found.view_start
+    whole = (
+        len(start) == found.n_views + 1
+        and start[0] == 0
+        and start[-1] == found.n_corners
+        and bool((np.diff(start) > 0).all())
+        and found.corners_px.shape == (found.n_corners, 2)
+        and bool(np.isfinite(found.corners_px).all())
+    )
+    if not whole:
+        raise ValueError("its columns don't fit together")
+
+
+def _write_cache(path: Path, found: CameraDetections) -> None:
+    with write_aside(path, binary=True) as file:
+        np.savez(file, **{name: getattr(found, name) for name in _CACHED})

@@ -1,0 +1,186 @@
+"""Stage 3: the reprojection error of all corners over all Y_c, X and, where asked, theta_c; and its covariance."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import gtsam
+import numpy as np
+
+from factors import RobustKernel
+from gtcal.camera import FloatArray
+from gtcal.errors import GtcalError
+from gtcal.estimation.estimate import Estimate
+from gtcal.estimation.graph import (
+    BODY_T_BOARD,
+    IntrinsicsPrior,
+    camera_T_ref_key,
+    minimise,
+    reprojection_graph,
+    theta_key,
+    to_values,
+    updated,
+)
+from gtcal.estimation.observations import Views
+from gtcal.estimation.options import CalibrationOptions
+from gtcal.estimation.screening import Screened, keep_all, screen
+from gtcal.progress import Progress, silent
+
+MAX_ROUNDS = 6
+"""Of screening and solving; two do unless the first estimate was poor."""
+
+MEDIAN_LENGTH = float(np.sqrt(2.0 * np.log(2.0)))
+"""Median length of a 2-D Gaussian vector with unit sigma in each coordinate (Rayleigh)."""
+
+
+@dataclass(frozen=True)
+class Adjusted:
+    """Where stage 3 ended.
+
+    graph, values: of the last round, with the final sigma. errors: the graph's error from round to round, times the
+        square of the round's sigma so that they compare: px^2, halved.
+    screened: the views and corners that were used."""
+
+    estimate: Estimate
+    sigma_px: float
+    screened: Screened
+    graph: gtsam.NonlinearFactorGraph
+    values: gtsam.Values
+    errors: tuple[float, ...]
+
+
+def adjust(
+    views: Mapping[str, Views], start: Estimate, options: CalibrationOptions, progress: Progress = silent
+) -> Adjusted:
+    """Screen and solve in turns, until the same corners stay."""
+    screened = _screened(views, start, options)
+    estimate, sigma_px = start, _sigma_px(screened, options)
+    errors: tuple[float, ...] = ()
+    for done in range(MAX_ROUNDS):
+        progress("stage 3: pixels", done, MAX_ROUNDS)
+        estimate, found = _minimised(screened, estimate, sigma_px, options)
+        errors += tuple(sigma_px**2 * error for error in (found[1:] if errors else found))
+        before = screened, sigma_px
+        screened = _screened(views, estimate, options)
+        sigma_px = _sigma_px(screened, options)
+        if screened.same_as(before[0]) and _settled(before[1], sigma_px, options):
+            break
+    progress("stage 3: pixels", MAX_ROUNDS, MAX_ROUNDS)
+    return _adjusted(screened, estimate, sigma_px, options, errors)
+
+
+def not_adjusted(views: Mapping[str, Views], start: Estimate, options: CalibrationOptions) -> Adjusted:
+    """The ablation without stage 3: the start, screened, with the graph that stage 3 would have minimised."""
+    screened = _screened(views, start, options)
+    return _adjusted(screened, start, _sigma_px(screened, options), options, ())
+
+
+def _adjusted(
+    screened: Screened,
+    estimate: Estimate,
+    sigma_px: float,
+    options: CalibrationOptions,
+    errors: tuple[float, ...],
+) -> Adjusted:
+    graph = _graph(screened, estimate, sigma_px, options)
+    values = to_values(estimate, with_theta=options.refine_intrinsics)
+    return Adjusted(estimate, sigma_px, screened, graph, values, errors)
+
+
+def _screened(views: Mapping[str, Views], estimate: Estimate, options: CalibrationOptions) -> Screened:
+    return screen(views, estimate) if options.screen else keep_all(views, estimate)
+
+
+def _minimised(
+    screened: Screened, estimate: Estimate, sigma_px: float, options: CalibrationOptions
+) -> tuple[Estimate, tuple[float, ...]]:
+    found = minimise(
+        _graph(screened, estimate, sigma_px, options),
+        to_values(estimate, with_theta=options.refine_intrinsics),
+        eps=options.eps,
+        max_iterations=options.max_iterations,
+    )
+    return updated(estimate, found.values), found.errors
+
+
+def _graph(
+    screened: Screened, estimate: Estimate, sigma_px: float, options: CalibrationOptions
+) -> gtsam.NonlinearFactorGraph:
+    priors = intrinsics_priors(screened.views, options) if options.refine_intrinsics else None
+    return reprojection_graph(
+        screened.views, estimate, sigma_px=sigma_px, robust=options.robust, intrinsics_priors=priors
+    )
+
+
+def intrinsics_priors(views: Mapping[str, Views], options: CalibrationOptions) -> dict[str, IntrinsicsPrior]:
+    """What the options say of each camera's intrinsics."""
+    return {name: _prior(of_camera, options) for name, of_camera in views.items()}
+
+
+def _prior(views: Views, options: CalibrationOptions) -> IntrinsicsPrior:
+    if options.intrinsics_prior == "weak":
+        return IntrinsicsPrior(None)
+    sigmas = np.full(views.camera.model.n_parameters, options.distortion_sigma)
+    sigmas[:2], sigmas[2:4] = options.focal_sigma_px, options.centre_sigma_px
+    return IntrinsicsPrior(sigmas)
+
+
+def _sigma_px(screened: Screened, options: CalibrationOptions) -> float:
+    """Standard deviation of a pixel coordinate: as given; or from the residuals, by their median length under a robust
+    kernel, else by their mean square over the degrees of freedom."""
+    if options.sigma_px is not None:
+        return options.sigma_px
+    lengths = np.concatenate(list(screened.lengths_px.values()))
+    if options.robust != RobustKernel():
+        return max(float(np.median(lengths)) / MEDIAN_LENGTH, 1e-6)
+    finite = lengths[np.isfinite(lengths)]
+    models = [views.camera.model for views in screened.views.values()]
+    unknowns = 6 + sum(6 + model.n_parameters * options.refine_intrinsics for model in models)
+    return max(float(np.sqrt((finite**2).sum() / max(2 * len(finite) - unknowns, 1))), 1e-6)
+
+
+def _settled(before_px: float, after_px: float, options: CalibrationOptions) -> bool:
+    """Whether another round would change the optimum: plain least squares does not depend on sigma."""
+    independent = options.robust == RobustKernel() and not options.refine_intrinsics
+    return independent or abs(after_px - before_px) < 0.02 * before_px
+
+
+@dataclass(frozen=True)
+class Covariances:
+    """Marginal covariances in the variables' tangents. theta: by camera, where the intrinsics were solved for.
+
+    joint: (6 + 6 C, 6 + 6 C) of X, then each Y_c."""
+
+    body_T_board: FloatArray
+    camera_T_ref: dict[str, FloatArray]
+    theta: dict[str, FloatArray]
+    joint: FloatArray
+
+
+def covariances(adjusted: Adjusted) -> Covariances:
+    """GTSAM's marginals at the solution.
+
+    Raises GtcalError where the data leave a direction open."""
+    names = list(adjusted.screened.views)
+    try:
+        marginals = gtsam.Marginals(adjusted.graph, adjusted.values)
+        poses = [BODY_T_BOARD, *(camera_T_ref_key(index) for index in range(len(names)))]
+        joint = _joint(marginals, poses)
+        theta = {
+            name: marginals.marginalCovariance(theta_key(index))
+            for index, name in enumerate(names)
+            if adjusted.values.exists(theta_key(index))
+        }
+    except RuntimeError as error:
+        raise GtcalError(
+            "the views leave a direction of the solution open, so it has no covariance: record more views, turning the "
+            "board about several axes and over the whole image"
+        ) from error
+    blocks = {name: joint[6 * i : 6 * i + 6, 6 * i : 6 * i + 6] for i, name in enumerate(names, start=1)}
+    return Covariances(joint[:6, :6], blocks, theta, joint)
+
+
+def _joint(marginals: gtsam.Marginals, keys: list[int]) -> FloatArray:
+    joint = marginals.jointMarginalCovariance(keys)
+    return np.block([[joint.at(row, column) for column in keys] for row in keys])

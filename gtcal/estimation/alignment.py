@@ -1,0 +1,145 @@
+"""Stages 1 and 2: from PnP poses to a chain that fits them in 3-D.
+
+Views whose PnP pose and mocap pose contradict the others (a swap, a flipped board pose, a wrong tag) must not decide
+the result, so stage 1 runs three times: on the views whose turns agree, then on those that the last result explains,
+each with the one of its two PnP poses that fits better.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from factors.alignment import corner_moments, squared_distances
+from factors.moments import chain
+from factors.rigid import inverse
+from gtcal.camera import BoolArray, FloatArray
+from gtcal.estimation.estimate import Estimate
+from gtcal.estimation.graph import AlignmentViews, Minimisation, alignment_graph, minimise, to_values, updated
+from gtcal.estimation.observations import Views
+from gtcal.estimation.pnp import PnpViews
+from gtcal.estimation.procrustes import SweepResult, alignment_sums, sweep
+from gtcal.estimation.residuals import select_views
+
+_PASSES = 3
+_GATE = 3.0
+"""A view guides the next pass where its rms distance is at most three times the median one. Views lost to it for no
+fault but distance do no harm: stage 3 takes them all."""
+
+_TURN_FLOOR_RAD = np.deg2rad(1.0)
+"""Turns that differ by less agree: PnP is no better than that on a distant board."""
+
+_MAX_REFERENCES = 200
+
+
+@dataclass(frozen=True)
+class GuideViews:
+    """The views of one camera that PnP solved. pnp_camera_T_board: (W, 2, 4, 4) both poses, the better first.
+    pnp_median_px: (W,) median distance of a view's corners to their projection under the better pose."""
+
+    views: Views
+    pnp_camera_T_board: FloatArray
+    pnp_median_px: FloatArray
+    corner_moments: FloatArray
+
+    @staticmethod
+    def of(views: Views, pnp: PnpViews) -> GuideViews:
+        chosen = select_views(views, pnp.view_index)
+        moments = corner_moments(chosen.view_start, chosen.corners_m)
+        return GuideViews(chosen, pnp.camera_T_board, pnp.median_px[:, 0], moments)
+
+    def rms_m(self, camera_T_ref: FloatArray, body_T_board: FloatArray) -> FloatArray:
+        """Rms distance (W, 2) between the corners placed by the chain and by each of the two PnP poses."""
+        expected = chain(camera_T_ref, self.views.ref_T_body, body_T_board)
+        squared = [squared_distances(expected, self.pnp_camera_T_board[:, i], self.corner_moments) for i in range(2)]
+        mean = np.stack(squared, axis=1) / self.corner_moments[:, 3, 3, None]
+        return np.sqrt(np.maximum(mean, 0.0))
+
+    def alignment_views(self, keep: BoolArray, pose: FloatArray) -> AlignmentViews:
+        """The views where ``keep`` (W,), each with its PnP pose of index ``pose`` (W,)."""
+        chosen = self.pnp_camera_T_board[np.arange(len(pose)), pose]
+        return AlignmentViews(self.views.ref_T_body[keep], chosen[keep], self.corner_moments[keep])
+
+
+@dataclass(frozen=True)
+class Aligned:
+    """What stage 1 found. views: those that fit, as stage 2 takes them."""
+
+    estimate: Estimate
+    views: dict[str, AlignmentViews]
+    sweep: SweepResult
+    n_outlying: int
+
+
+def stage_1(guides: Mapping[str, GuideViews], rng: np.random.Generator) -> Aligned:
+    """Procrustes sweep over all cameras, robust to gross views while they are a minority."""
+    chosen = {name: _agreeing_views(guide) for name, guide in guides.items()}
+    for _ in range(_PASSES):
+        result = sweep(
+            [alignment_sums(v.ref_T_body, v.pnp_camera_T_board, v.corner_moments) for v in chosen.values()], rng
+        )
+        estimate = _estimate(guides, result)
+        chosen = fitting_views(guides, estimate)
+    n_outlying = sum(len(guides[name].corner_moments) - len(v.corner_moments) for name, v in chosen.items())
+    return Aligned(estimate, chosen, result, n_outlying)
+
+
+def fitting_views(guides: Mapping[str, GuideViews], estimate: Estimate) -> dict[str, AlignmentViews]:
+    """The views that the estimate explains, each with the PnP pose that fits it better."""
+    rms = {name: guide.rms_m(estimate.camera_T_ref[name], estimate.body_T_board) for name, guide in guides.items()}
+    median_m = float(np.median(np.concatenate([by_pose.min(axis=1) for by_pose in rms.values()])))
+    return {
+        name: guide.alignment_views(_fits(rms[name], median_m), rms[name].argmin(axis=1))
+        for name, guide in guides.items()
+    }
+
+
+def _fits(rms_m: FloatArray, median_m: float) -> BoolArray:
+    """Mask (W,) of the fitting views; a camera none of whose views fit keeps its better half."""
+    best = rms_m.min(axis=1)
+    fits = best <= _GATE * median_m
+    return fits if fits.sum() >= 3 else best <= np.median(best)
+
+
+def _agreeing_views(guide: GuideViews) -> AlignmentViews:
+    """Views that have turned from most others by the same angle for PnP as for the mocap, as they must whatever X and
+    Y are: That_i^-1 That_j = X^-1 (A_i^-1 A_j) X (screw congruence, Chen 1991). At least half of the views."""
+    by_pnp, by_mocap = (_turns_rad(poses) for poses in (guide.pnp_camera_T_board[:, 0], guide.views.ref_T_body))
+    mismatch_rad = np.median(np.abs(by_pnp - by_mocap), axis=1)
+    agree = mismatch_rad <= max(_GATE * float(np.median(mismatch_rad)), _TURN_FLOOR_RAD)
+    return guide.alignment_views(agree, np.zeros(len(agree), dtype=np.int64))
+
+
+def _turns_rad(poses: FloatArray) -> FloatArray:
+    """Angles (W, R) between the attitudes of poses (W, 4, 4) and of R of them, spread evenly."""
+    flat = poses[:, :3, :3].reshape(-1, 9)
+    chosen = np.linspace(0, len(flat) - 1, min(len(flat), _MAX_REFERENCES)).round().astype(np.int64)
+    return np.asarray(np.arccos(np.clip(0.5 * (flat @ flat[chosen].T - 1.0), -1.0, 1.0)))
+
+
+def _estimate(guides: Mapping[str, GuideViews], result: SweepResult) -> Estimate:
+    camera_T_ref = {name: result.camera_T_ref[c] for c, name in enumerate(guides)}
+    return Estimate(result.body_T_board, camera_T_ref, _stated_theta(guides))
+
+
+def _stated_theta(guides: Mapping[str, GuideViews]) -> dict[str, FloatArray]:
+    return {name: guide.views.camera.theta for name, guide in guides.items()}
+
+
+def without_stage_1(guides: Mapping[str, GuideViews]) -> Estimate:
+    """The ablation's start: X the identity, each camera from its first view."""
+    camera_T_ref = {
+        name: guide.pnp_camera_T_board[0, 0] @ inverse(guide.views.ref_T_body[0]) for name, guide in guides.items()
+    }
+    return Estimate(np.eye(4), camera_T_ref, _stated_theta(guides))
+
+
+def stage_2(
+    views: Mapping[str, AlignmentViews], start: Estimate, *, eps: float, max_iterations: int
+) -> tuple[Estimate, Minimisation]:
+    """Levenberg-Marquardt on E_3D."""
+    values = to_values(start, with_theta=False)
+    found = minimise(alignment_graph(views), values, eps=eps, max_iterations=max_iterations)
+    return updated(start, found.values), found

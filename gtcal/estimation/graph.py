@@ -1,0 +1,157 @@
+"""The factor graphs of stages 2 and 3, their variables, and the loop that minimises them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import gtsam
+import numpy as np
+
+from factors import (
+    FusedReprojectionFactor,
+    PointAlignmentFactor,
+    RobustKernel,
+    factory_intrinsics_prior,
+    weak_intrinsics_prior,
+)
+from gtcal.camera import Camera, FloatArray
+from gtcal.estimation.estimate import Estimate
+from gtcal.estimation.observations import Views
+from gtcal.estimation.residuals import corner_views
+
+BODY_T_BOARD: int = gtsam.symbol("x", 0)
+"""Key of X."""
+
+
+def camera_T_ref_key(camera_index: int) -> int:
+    """Key of Y_c, cameras counted in the order of the recording."""
+    key: int = gtsam.symbol("y", camera_index)
+    return key
+
+
+def theta_key(camera_index: int) -> int:
+    """Key of theta_c, the intrinsics."""
+    key: int = gtsam.symbol("k", camera_index)
+    return key
+
+
+def to_values(estimate: Estimate, *, with_theta: bool) -> gtsam.Values:
+    """The estimate as GTSAM's values; the intrinsics among them where they are variables."""
+    values = gtsam.Values()
+    values.insert(BODY_T_BOARD, gtsam.Pose3(estimate.body_T_board))
+    for index, (name, pose) in enumerate(estimate.camera_T_ref.items()):
+        values.insert(camera_T_ref_key(index), gtsam.Pose3(pose))
+        if with_theta:
+            values.insert(theta_key(index), estimate.theta[name])
+    return values
+
+
+def updated(estimate: Estimate, values: gtsam.Values) -> Estimate:
+    """The estimate with the variables that ``values`` holds."""
+    camera_T_ref, theta = {}, {}
+    for index, name in enumerate(estimate.camera_T_ref):
+        camera_T_ref[name] = values.atPose3(camera_T_ref_key(index)).matrix()
+        free = values.exists(theta_key(index))
+        theta[name] = values.atVector(theta_key(index)) if free else estimate.theta[name]
+    return Estimate(values.atPose3(BODY_T_BOARD).matrix(), camera_T_ref, theta)
+
+
+@dataclass(frozen=True)
+class AlignmentViews:
+    """What stage 2 knows of one camera: mocap and PnP poses and corner moments of its views, each (V, 4, 4)."""
+
+    ref_T_body: FloatArray
+    pnp_camera_T_board: FloatArray
+    corner_moments: FloatArray
+
+
+def alignment_graph(views: Mapping[str, AlignmentViews]) -> gtsam.NonlinearFactorGraph:
+    """E_3D over all cameras, in m^2 (halved, as GTSAM counts)."""
+    graph = gtsam.NonlinearFactorGraph()
+    for index, of_camera in enumerate(views.values()):
+        graph.add(
+            PointAlignmentFactor(
+                camera_T_ref_key(index),
+                BODY_T_BOARD,
+                ref_T_body=of_camera.ref_T_body,
+                measured_camera_T_board=of_camera.pnp_camera_T_board,
+                corner_moments=of_camera.corner_moments,
+            )
+        )
+    return graph
+
+
+@dataclass(frozen=True)
+class IntrinsicsPrior:
+    """What is known of the intrinsics beforehand. ``sigmas`` (K,) round the stated values, or None for the
+    paper's weak prior (principal point to the image centre, distortion to zero, focal length free)."""
+
+    sigmas: FloatArray | None = None
+
+    def factor(self, key: int, camera: Camera) -> gtsam.NonlinearFactor:
+        if self.sigmas is None:
+            return weak_intrinsics_prior(key, camera.model, camera.image_width_px, camera.image_height_px)
+        return factory_intrinsics_prior(key, camera.theta, self.sigmas)
+
+
+def reprojection_graph(
+    views: Mapping[str, Views],
+    estimate: Estimate,
+    *,
+    sigma_px: float,
+    robust: RobustKernel,
+    intrinsics_priors: Mapping[str, IntrinsicsPrior] | None,
+) -> gtsam.NonlinearFactorGraph:
+    """One fused factor per camera; with ``intrinsics_priors`` by camera, the intrinsics are variables."""
+    graph = gtsam.NonlinearFactorGraph()
+    for index, (name, of_camera) in enumerate(views.items()):
+        graph.add(
+            FusedReprojectionFactor(
+                camera_T_ref_key(index),
+                BODY_T_BOARD,
+                views=corner_views(of_camera, sigma_px),
+                model=of_camera.camera.model,
+                ref_T_body=of_camera.ref_T_body,
+                theta=theta_key(index) if intrinsics_priors is not None else estimate.theta[name],
+                robust=robust,
+            )
+        )
+        if intrinsics_priors is not None:
+            graph.add(intrinsics_priors[name].factor(theta_key(index), of_camera.camera))
+    return graph
+
+
+_LARGEST_DAMPING = 1e9
+
+
+@dataclass(frozen=True)
+class Minimisation:
+    """Where the minimisation ended, and the graph's error at its start and after each iteration."""
+
+    values: gtsam.Values
+    errors: tuple[float, ...]
+    converged: bool
+
+    @property
+    def iterations(self) -> int:
+        return len(self.errors) - 1
+
+
+def minimise(
+    graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, *, eps: float, max_iterations: int
+) -> Minimisation:
+    """Levenberg-Marquardt until an iteration improves the error E by less than eps (1 + E).
+
+    Damped by the Hessian's diagonal: rad, m, px and distortion coefficients stand side by side in one graph."""
+    parameters = gtsam.LevenbergMarquardtParams()
+    parameters.setDiagonalDamping(True)
+    parameters.setlambdaUpperBound(_LARGEST_DAMPING)
+    optimizer = gtsam.LevenbergMarquardtOptimizer(graph, values, parameters)
+    errors = [optimizer.error()]
+    while len(errors) <= max_iterations:
+        optimizer.iterate()
+        errors.append(optimizer.error())
+        if not errors[-2] - errors[-1] >= eps * (1.0 + errors[-1]):
+            return Minimisation(optimizer.values(), tuple(errors), converged=bool(np.isfinite(errors[-1])))
+    return Minimisation(optimizer.values(), tuple(errors), converged=False)

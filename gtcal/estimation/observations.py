@@ -1,0 +1,191 @@
+"""What the solver sees: the detected corners of each camera's views, each view with the mocap's ref_T_body."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from gtcal.board import Board
+from gtcal.camera import BoolArray, Camera, FloatArray
+from gtcal.errors import GtcalError
+from gtcal.recordings.capture import Capture, RefMotion
+from gtcal.recordings.detections import CameraDetections, IntArray
+from gtcal.recordings.recording import Recording
+from gtcal.recordings.trajectory import Gap
+
+_TIME_UNITS = {3: "1,000", 6: "1,000,000", 9: "1,000,000,000"}
+
+
+@dataclass(frozen=True)
+class Views:
+    """The views of one camera that have a mocap pose. View v holds rows ``view_start[v]:view_start[v + 1]``.
+
+    stamps_ns: (V,) strictly increasing.
+    frame_index: (V,) the view's place in ``Observations.frame_stamps_ns``: views of one frame share ref_T_body.
+    ref_T_body: (V, 4, 4), and its time derivative ref_twist_per_s: (V, 6), rotation first:
+        ref_T_body(t + dt) = ref_T_body(t) * Exp(ref_twist_per_s dt).
+    view_start: (V + 1,) int64.
+    corner_ids: (N,) and corners_m: (N, 3) the same corners in the board frame.
+    corners_px: (N, 2) where they were seen.
+    """
+
+    camera: Camera
+    stamps_ns: IntArray
+    frame_index: IntArray
+    ref_T_body: FloatArray
+    ref_twist_per_s: FloatArray
+    view_start: IntArray
+    corner_ids: IntArray
+    corners_m: FloatArray
+    corners_px: FloatArray
+
+    @property
+    def n_views(self) -> int:
+        return len(self.stamps_ns)
+
+    @property
+    def n_corners(self) -> int:
+        return len(self.corner_ids)
+
+    @property
+    def view_of_corner(self) -> IntArray:
+        """(N,) the view each row belongs to."""
+        return np.repeat(np.arange(self.n_views), np.diff(self.view_start))
+
+
+@dataclass(frozen=True)
+class Dropped:
+    """Views of one camera that were left out, and why."""
+
+    camera: str
+    reason: str
+    n_views: int
+    n_corners: int
+
+
+@dataclass(frozen=True)
+class Observations:
+    """All views of a recording that have a mocap pose, by camera.
+
+    frame_stamps_ns: (F,) the distinct time stamps of the views of all cameras, increasing.
+    motion: ref_T_body as a function of time, for other times than the views' own (a clock offset).
+    dropped: the views that were left out.
+    """
+
+    views: dict[str, Views]
+    capture: Capture
+    board: Board
+    dropped: tuple[Dropped, ...]
+    frame_stamps_ns: IntArray
+    motion: RefMotion
+
+    @property
+    def n_frames(self) -> int:
+        return len(self.frame_stamps_ns)
+
+
+def synchronise(recording: Recording, *, min_corners: int = 4) -> Observations:
+    """Give every view with ``min_corners`` or more the mocap's ref_T_body at its time stamp, interpolated; drop
+    and count the others. Four corners, a tag's, are the fewest that fix a pose.
+
+    Raises GtcalError where a camera has no detections, shares no time with a trajectory, or keeps no view."""
+    kept: dict[str, CameraDetections] = {}
+    dropped: list[Dropped] = []
+    for name in recording.cameras:
+        detections = _detections(recording, name)
+        for body, trajectory in recording.motion.trajectories.items():
+            _check_overlap(name, detections.stamps_ns, body, trajectory.stamps_ns)
+        reasons = _reasons_to_drop(recording.motion, detections, min_corners)
+        dropped_here = _count(name, detections, reasons)
+        keep = ~np.any(list(reasons.values()), axis=0)
+        if not keep.any():
+            raise GtcalError(_nothing_left(name, dropped_here, recording.motion))
+        kept[name] = detections if keep.all() else detections.select_views(keep)
+        dropped += dropped_here
+    frames = np.unique(np.concatenate([detections.stamps_ns for detections in kept.values()]))
+    views = {name: _views(recording, name, detections, frames) for name, detections in kept.items()}
+    return Observations(views, recording.capture, recording.board, tuple(dropped), frames, recording.motion)
+
+
+def _views(recording: Recording, name: str, detections: CameraDetections, frame_stamps_ns: IntArray) -> Views:
+    poses = recording.motion.at(detections.stamps_ns)
+    return Views(
+        camera=recording.cameras[name],
+        stamps_ns=detections.stamps_ns,
+        frame_index=np.searchsorted(frame_stamps_ns, detections.stamps_ns),
+        ref_T_body=poses.ref_T_body,
+        ref_twist_per_s=poses.twist_per_s,
+        view_start=detections.view_start,
+        corner_ids=detections.corner_ids,
+        corners_m=recording.board.corners_m[detections.corner_ids],
+        corners_px=detections.corners_px,
+    )
+
+
+def _detections(recording: Recording, name: str) -> CameraDetections:
+    if name not in recording.detections:
+        raise GtcalError(f"camera {name!r} has images but no detections yet; detect the board in them first")
+    detections = recording.detections[name]
+    if detections.n_views == 0:
+        raise GtcalError(
+            f"camera {name!r} has no views: the board was not found in any of its images; "
+            "check the board's type and ids, or leave the camera out"
+        )
+    return detections
+
+
+def _reasons_to_drop(motion: RefMotion, detections: CameraDetections, min_corners: int) -> dict[str, BoolArray]:
+    """For each reason the mask (V,) of the views that it drops; each view counts for the first reason only."""
+    reasons = {f"fewer than {min_corners} corners": np.diff(detections.view_start) < min_corners}
+    gaps = motion.at(detections.stamps_ns).gaps
+    for name, trajectory in motion.trajectories.items():
+        limit_ms = 1e3 * motion.gap_limit_s(trajectory)
+        reasons[f"outside the {name} trajectory"] = gaps[name] == Gap.OUTSIDE
+        reasons[f"gap > {limit_ms:.4g} ms in {name}"] = gaps[name] == Gap.TOO_LONG
+    seen = np.zeros(detections.n_views, dtype=bool)
+    for reason, mask in reasons.items():
+        reasons[reason] = mask & ~seen
+        seen |= mask
+    return reasons
+
+
+def _count(name: str, detections: CameraDetections, reasons: dict[str, BoolArray]) -> list[Dropped]:
+    n_corners = np.diff(detections.view_start)
+    return [
+        Dropped(name, reason, int(mask.sum()), int(n_corners[mask].sum()))
+        for reason, mask in reasons.items()
+        if mask.any()
+    ]
+
+
+def _check_overlap(camera: str, camera_ns: IntArray, body: str, body_ns: IntArray) -> None:
+    if camera_ns[-1] >= body_ns[0] and camera_ns[0] <= body_ns[-1]:
+        return
+    raise GtcalError(
+        f"camera {camera!r} and the {body} trajectory share no time: the camera has {_range(camera_ns)}, "
+        f"the trajectory {_range(body_ns)}" + _time_base_hint(camera_ns, body, body_ns)
+    )
+
+
+def _range(stamps_ns: IntArray) -> str:
+    return f"{stamps_ns[0] * 1e-9:.3f} s to {stamps_ns[-1] * 1e-9:.3f} s"
+
+
+def _time_base_hint(camera_ns: IntArray, body: str, body_ns: IntArray) -> str:
+    """What a ratio of a thousand, a million or a thousand million between the two clocks tells."""
+    ends = abs(float(camera_ns[-1])), abs(float(body_ns[-1]))
+    power = np.log10(ends[0] / ends[1]) if min(ends) > 0 else 0.0
+    nearest = round(abs(power) / 3) * 3
+    if nearest in _TIME_UNITS and abs(abs(power) - nearest) < 0.15:
+        relation = "larger" if power > 0 else "smaller"
+        return f"; the camera's are about {_TIME_UNITS[nearest]} times {relation}: check {body}.time_unit"
+    return "; are they from two recordings, or from clocks that start at different times?"
+
+
+def _nothing_left(name: str, dropped: list[Dropped], motion: RefMotion) -> str:
+    counted = ", ".join(f"{drop.n_views} {drop.reason}" for drop in dropped)
+    rates = ", ".join(
+        f"{body} every {trajectory.median_interval_s:.3g} s" for body, trajectory in motion.trajectories.items()
+    )
+    return f"camera {name!r} has no views left to calibrate from: {counted} (sampled: {rates})"

@@ -1,0 +1,265 @@
+"""From observations to a calibration: PnP, the three stages, marginal covariances."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from gtcal.errors import GtcalError
+from gtcal.estimation.adjustment import Adjusted, Covariances, adjust, covariances, not_adjusted
+from gtcal.estimation.alignment import GuideViews, fitting_views, stage_1, stage_2, without_stage_1
+from gtcal.estimation.errors_in_variables import adjust_with_mocap_noise
+from gtcal.estimation.estimate import Estimate
+from gtcal.estimation.motion import check_turning, turning
+from gtcal.estimation.observations import Observations, Views
+from gtcal.estimation.options import CalibrationOptions
+from gtcal.estimation.pnp import solve_pnp
+from gtcal.estimation.residuals import chain_residuals_px, median_by_view, norms
+from gtcal.files import InputFile
+from gtcal.progress import Progress, silent
+from gtcal.results.calibration import (
+    ERRORS_IN_VARIABLES,
+    NAIVE,
+    Calibration,
+    CameraCalibration,
+    PoseEstimate,
+    ResidualStatistics,
+    Solution,
+    StageReport,
+)
+from gtcal.results.provenance import provenance
+
+DISAGREEMENT_RAD = np.deg2rad(3.0)
+"""A typical residual of this angle after alignment is no noise: the files contradict each other."""
+
+WEAK_SIGMA_MM, WEAK_SIGMA_DEG = 2.0, 0.2
+"""A 1-sigma over this, on pixel noise alone, is no ground truth."""
+
+LOOSE, LOOSE_PX = 5.0, 1.0
+"""How many times worse the corners fit in the chain than with a pose of each view's own, and how badly, to warn of."""
+
+MANY_DROPPED = 0.25
+"""A share of gross views that an operator should hear of."""
+
+_MIN_VIEWS = 3
+
+
+class DisagreementError(GtcalError):
+    """No chain fits the data. ``angle_deg``: the typical residual of the best one."""
+
+    def __init__(self, angle_deg: float, hint: str = "") -> None:
+        self.angle_deg = angle_deg
+        causes = "quaternion order, inverse poses, units, swapped bodies or clocks, or the board's geometry"
+        super().__init__(
+            f"no calibration fits: after alignment the corners still lie {angle_deg:.1f} deg off, typically, so the "
+            f"board's views and the mocap contradict each other; {hint or 'check ' + causes}"
+        )
+
+
+def calibrate_observations(
+    observations: Observations,
+    options: CalibrationOptions | None = None,
+    *,
+    progress: Progress = silent,
+    inputs: tuple[InputFile, ...] = (),
+    earlier: tuple[StageReport, ...] = (),
+) -> Calibration:
+    """Calibrate from synchronised views. ``inputs`` and reports of ``earlier`` work are kept with the result.
+
+    Raises GtcalError where there are fewer views than unknowns or the motion is degenerate, and DisagreementError
+    where no chain fits."""
+    started = time.perf_counter()
+    options = options or CalibrationOptions()
+    views = observations.views
+    _check_enough(views, options)
+    _motion_warnings(views, options)
+    estimate, reports = _align(views, options, progress)
+    adjusted, later = _adjust(observations, estimate, options, progress)
+    sigmas = covariances(adjusted) if 3 in options.stages else None
+    final = adjusted.estimate
+    return Calibration(
+        capture=observations.capture,
+        cameras={name: _camera(of_camera, adjusted, sigmas) for name, of_camera in views.items()},
+        body_T_board=PoseEstimate(final.body_T_board, sigmas.body_T_board if sigmas else None),
+        board=observations.board.to_manifest(),
+        sigma_px=adjusted.sigma_px,
+        covariance_kind=NAIVE if options.mocap is None else ERRORS_IN_VARIABLES,
+        stages=(*earlier, *reports, *later),
+        dropped=observations.dropped + adjusted.screened.dropped(views),
+        warnings=(*_warnings(adjusted, sigmas, options), *_fit_warnings((*reports, *later))),
+        provenance=provenance(options, inputs, time.perf_counter() - started),
+        solution=Solution(adjusted.graph, adjusted.values, final, adjusted.screened.views),
+    )
+
+
+def _check_enough(views: Mapping[str, Views], options: CalibrationOptions) -> None:
+    for name, of_camera in views.items():
+        if of_camera.n_views < _MIN_VIEWS:
+            raise GtcalError(
+                f"camera {name!r} has {of_camera.n_views} usable view(s); at least {_MIN_VIEWS} are needed for its "
+                "extrinsic, and 20 or more for a good one: record longer, or leave the camera out"
+            )
+        unknowns = 12 + of_camera.camera.model.n_parameters * options.refine_intrinsics
+        if 2 * of_camera.n_corners < unknowns:
+            raise GtcalError(
+                f"camera {name!r} has {2 * of_camera.n_corners} measured coordinates for {unknowns} unknowns: "
+                "record more views of the board"
+            )
+
+
+def _motion_warnings(views: Mapping[str, Views], options: CalibrationOptions) -> tuple[str, ...]:
+    try:
+        warning = check_turning(turning(of_camera.ref_T_body for of_camera in views.values()))
+    except GtcalError as error:
+        if not options.allow_degenerate:
+            raise
+        warning = str(error)
+    return () if warning is None else (warning,)
+
+
+def _warnings(adjusted: Adjusted, sigmas: Covariances | None, options: CalibrationOptions) -> tuple[str, ...]:
+    """The motion is looked at again without the gross views, whose wrong poses would pass for turns."""
+    motion = _motion_warnings(adjusted.screened.views, options)
+    return (*motion, *_screening_warnings(adjusted), *(_sigma_warnings(adjusted, sigmas) if sigmas else ()))
+
+
+def _fit_warnings(reports: tuple[StageReport, ...]) -> tuple[str, ...]:
+    """By themselves the views fit as well as lens and detector are; what the chain adds is the mocap's."""
+    alone_px, chain_px = reports[0].median_px, reports[-1].median_px
+    if reports[-1].stage < 3 or not chain_px > max(LOOSE * alone_px, LOOSE_PX):
+        return ()
+    return (
+        f"corners lie {chain_px:.2g} px off, typically, but {alone_px:.2g} px where each view has a board pose of its "
+        "own: the mocap's poses do not go with the images; look for a clock offset or for loose markers",
+    )
+
+
+def _sigma_warnings(adjusted: Adjusted, sigmas: Covariances) -> tuple[str, ...]:
+    found = []
+    for name, covariance in sigmas.camera_T_ref.items():
+        pose = PoseEstimate(adjusted.estimate.camera_T_ref[name], covariance)
+        mm, deg = pose.position_of_a_in_b_sigma_mm, pose.rotation_sigma_deg
+        if mm is not None and deg is not None and (mm.max() > WEAK_SIGMA_MM or deg.max() > WEAK_SIGMA_DEG):
+            found.append(
+                f"camera {name!r} is weakly determined (1-sigma {mm.max():.2g} mm, {deg.max():.2g} deg): record more "
+                "views of the board, nearer, over the whole image, and turned about several axes"
+            )
+    return tuple(found)
+
+
+def _screening_warnings(adjusted: Adjusted) -> tuple[str, ...]:
+    return tuple(
+        f"camera {name!r}: {np.mean(~keep):.0%} of its views contradict the chain and were left out; a mocap body that "
+        "swaps, or a clock that drifts, looks like that"
+        for name, keep in adjusted.screened.keep_view.items()
+        if np.mean(~keep) > MANY_DROPPED
+    )
+
+
+def _align(
+    views: Mapping[str, Views], options: CalibrationOptions, progress: Progress
+) -> tuple[Estimate, list[StageReport]]:
+    """PnP, stage 1 and stage 2, as far as the options want them."""
+    started = time.perf_counter()
+    guides = _guides(views, options, progress)
+    alone_px = float(np.median(np.concatenate([guide.pnp_median_px for guide in guides.values()])))
+    reports = [replace(_report(0, "PnP", started), median_px=alone_px)]
+    started = time.perf_counter()
+    if 1 in options.stages:
+        progress("stage 1: Procrustes sweep", 0, 1)
+        aligned = stage_1(guides, np.random.default_rng(options.seed))
+        estimate, fitting = aligned.estimate, aligned.views
+        worst, best = aligned.sweep.rmse_of_starts_m.max(), aligned.sweep.rmse_m
+        found = _report(1, "Procrustes sweep", started, (worst, best), "m rmse")
+        reports.append(replace(found, median_px=_median_px(views, estimate)))
+        progress("stage 1: Procrustes sweep", 1, 1)
+    else:
+        estimate = without_stage_1(guides)
+        fitting = fitting_views(guides, estimate)
+    started = time.perf_counter()
+    if 2 in options.stages:
+        progress("stage 2: 3-D alignment", 0, 1)
+        estimate, minimised = stage_2(fitting, estimate, eps=options.eps, max_iterations=options.max_iterations)
+        found = _report(2, "3-D alignment", started, minimised.errors, "m^2/2")
+        reports.append(replace(found, median_px=_median_px(views, estimate)))
+        progress("stage 2: 3-D alignment", 1, 1)
+    if 1 in options.stages and not options.allow_degenerate:
+        _check_agreement(views, estimate)
+    return estimate, reports
+
+
+def _adjust(
+    observations: Observations, estimate: Estimate, options: CalibrationOptions, progress: Progress
+) -> tuple[Adjusted, list[StageReport]]:
+    """Stages 3 and 4, where the options want them."""
+    views = observations.views
+    if 3 not in options.stages:
+        return not_adjusted(views, estimate, options), []
+    started = time.perf_counter()
+    adjusted = adjust(views, estimate, options, progress)
+    report = _report(3, "pixels", started, adjusted.errors, "px^2/2")
+    reports = [replace(report, median_px=_median_px(views, adjusted.estimate))]
+    if options.mocap is None:
+        return adjusted, reports
+    started = time.perf_counter()
+    adjusted = adjust_with_mocap_noise(adjusted, observations.motion, options, progress)
+    report = _report(4, "mocap noise", started, adjusted.errors, "whitened")
+    return adjusted, [*reports, replace(report, median_px=_median_px(views, adjusted.estimate))]
+
+
+def _guides(views: Mapping[str, Views], options: CalibrationOptions, progress: Progress) -> dict[str, GuideViews]:
+    guides = {}
+    for done, (name, of_camera) in enumerate(views.items()):
+        progress("PnP", done, len(views))
+        guides[name] = GuideViews.of(of_camera, solve_pnp(of_camera, max_views=options.pnp_views))
+        n_solved = guides[name].views.n_views
+        if n_solved < _MIN_VIEWS:
+            raise GtcalError(
+                f"camera {name!r}: PnP solves {n_solved} of its {of_camera.n_views} views; do the intrinsics fit the "
+                "image, and the board the recording?"
+            )
+    progress("PnP", len(views), len(views))
+    return guides
+
+
+def _report(stage: int, name: str, started_s: float, errors: tuple[float, ...] = (), unit: str = "") -> StageReport:
+    before, after = (errors[0], errors[-1]) if errors else (float("nan"), float("nan"))
+    seconds = time.perf_counter() - started_s
+    return StageReport(stage, name, max(len(errors) - 1, 0), before, after, unit, float("nan"), seconds)
+
+
+def _median_px(views: Mapping[str, Views], estimate: Estimate) -> float:
+    """Median over the views of all cameras of the median residual of their corners; NaN where most of them have no
+    pixel under the estimate."""
+    medians = [
+        median_by_view(of_camera, norms(chain_residuals_px(of_camera, estimate))) for of_camera in views.values()
+    ]
+    median_px = float(np.median(np.concatenate(medians)))
+    return median_px if np.isfinite(median_px) else float("nan")
+
+
+def _check_agreement(views: Mapping[str, Views], estimate: Estimate) -> None:
+    focal_px = float(np.mean([theta[0] for theta in estimate.theta.values()]))
+    angle_rad = np.arctan(np.nan_to_num(_median_px(views, estimate), nan=np.inf) / focal_px)
+    if angle_rad > DISAGREEMENT_RAD:
+        raise DisagreementError(float(np.rad2deg(angle_rad)))
+
+
+def _camera(views: Views, adjusted: Adjusted, sigmas: Covariances | None) -> CameraCalibration:
+    name = views.camera.name
+    used, estimate = adjusted.screened.views[name], adjusted.estimate
+    lengths_px = adjusted.screened.lengths_px[name]
+    if not np.isfinite(lengths_px).any():
+        raise GtcalError(
+            f"camera {name!r}: the solution puts none of its corners in the lens's field of view; "
+            "run all the stages, and look whether its views and the mocap belong together"
+        )
+    return CameraCalibration(
+        camera=replace(views.camera, parameters=estimate.theta[name]),
+        camera_T_ref=PoseEstimate(estimate.camera_T_ref[name], sigmas.camera_T_ref[name] if sigmas else None),
+        theta_covariance=sigmas.theta.get(name) if sigmas else None,
+        residuals=ResidualStatistics.of(lengths_px, used.n_views),
+    )

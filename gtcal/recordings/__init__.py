@@ -1,0 +1,1 @@
+"""Recordings: the manifest, and what it names, as arrays."""

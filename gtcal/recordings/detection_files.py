@@ -1,0 +1,199 @@
+"""Detected corners on disk: gtcal's own CSV, the same by tag and corner, and folders of one CSV per view."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from gtcal.board import TagGrid
+from gtcal.camera import Camera, FloatArray
+from gtcal.errors import GtcalError
+from gtcal.files import write_aside
+from gtcal.recordings.detections import CameraDetections, Cornered, IntArray
+from gtcal.recordings.text_table import Kind, TextTable, open_table
+
+_HEADER = "timestamp_ns,corner_id,x_px,y_px"
+_ROWS_PER_WRITE = 100_000
+# A corner printed at the same place differs by the rounding of its file; a wrong size or order by millimetres.
+_SAME_CORNER_M = 1e-4
+
+
+def read_detections(path: Path, board: Cornered, camera: Camera) -> CameraDetections:
+    """Read the detections of one camera from a CSV, or from all the CSVs of a folder. The header of each tells its
+    kind:
+
+    - ``timestamp_ns,corner_id,x_px,y_px``: corner ids of the board;
+    - ``timestamp_ns,tag_id,corner_index,x_px,y_px``: tag ids as printed, corners 0..3 of a tag as its board has;
+    - ``#ts,tag_rows,tag_cols,tag_size,tag_spacing,kp_x,kp_y,p_x,p_y,p_z,tag_id,corner_idx``: yac's; the
+      corner positions must be the board's.
+
+    Rows come in any order. Raises GtcalError with file and line where a row can't be read, an id is not on the
+    board, a corner appears twice in a view, or a pixel lies outside the image."""
+    files = sorted(path.glob("*.csv")) if path.is_dir() else [path]
+    if not files:
+        raise GtcalError(f"{path}: there is no .csv file in this folder of detections")
+    parts = [_read_file(file, board, camera) for file in files]
+    return _joined(parts, board, camera)
+
+
+def write_detections(path: Path, detections: CameraDetections) -> None:
+    """Write detections as gtcal's own CSV, every digit. Views without corners leave no row."""
+    stamps_ns = np.repeat(detections.stamps_ns, np.diff(detections.view_start))
+    with write_aside(path) as file:
+        file.write(_HEADER + "\n")
+        for start in range(0, detections.n_corners, _ROWS_PER_WRITE):
+            rows = slice(start, start + _ROWS_PER_WRITE)
+            x_px, y_px = detections.corners_px[rows].T.tolist()
+            columns = zip(stamps_ns[rows].tolist(), detections.corner_ids[rows].tolist(), x_px, y_px, strict=True)
+            file.writelines(f"{stamp},{corner},{x!r},{y!r}\n" for stamp, corner, x, y in columns)
+
+
+@dataclass(frozen=True)
+class _Part:
+    """The rows of one file: time stamps, corner ids (N,) and pixels (N, 2)."""
+
+    table: TextTable
+    stamps_ns: IntArray
+    corner_ids: IntArray
+    corners_px: FloatArray
+
+
+@dataclass(frozen=True)
+class _Layout:
+    """A kind of detection file: its columns, those of the pixel, and how its rows name a corner of the board."""
+
+    columns: tuple[tuple[str, Kind], ...]
+    pixel: tuple[str, str]
+    corner_ids: Callable[[TextTable, npt.NDArray, Cornered], IntArray]
+
+
+def _corner_ids_as_given(table: TextTable, rows: npt.NDArray, board: Cornered) -> IntArray:
+    ids = rows["corner_id"]
+    bad = np.flatnonzero((ids < 0) | (ids >= board.n_corners))
+    if len(bad):
+        raise table.error(
+            int(bad[0]),
+            f"corner_id {ids[bad[0]]} is not on the board; expected 0 to {board.n_corners - 1} ({board.describe()})",
+        )
+    return ids
+
+
+def _corner_ids_by_tag(table: TextTable, rows: npt.NDArray, board: Cornered) -> IntArray:
+    if not isinstance(board, TagGrid):
+        raise GtcalError(
+            f"{table.path}: the file names corners by tag, but the board is no grid of tags ({board.describe()}); "
+            f"expected the header {_HEADER}"
+        )
+    corner_name = table.header()[-1] if "corner_idx" in table.header() else "corner_index"
+    index, corner = rows["tag_id"] - board.first_tag_id, rows[corner_name]
+    bad = np.flatnonzero((index < 0) | (index >= board.n_tags))
+    if len(bad):
+        last = board.first_tag_id + board.n_tags - 1
+        raise table.error(
+            int(bad[0]),
+            f"tag_id {rows['tag_id'][bad[0]]} is not on the board; expected {board.first_tag_id} to {last} "
+            f"({board.describe()})",
+        )
+    bad = np.flatnonzero((corner < 0) | (corner > 3))
+    if len(bad):
+        raise table.error(int(bad[0]), f"{corner_name} is {corner[bad[0]]}; a tag has the corners 0 to 3")
+    return 4 * index + corner
+
+
+def _corner_ids_of_aprilgrid(table: TextTable, rows: npt.NDArray, board: Cornered) -> IntArray:
+    ids = _corner_ids_by_tag(table, rows, board)
+    in_file_m = np.stack([rows[f"p_{axis}"] for axis in "xyz"], axis=1)
+    apart_m = np.abs(in_file_m - board.corners_m[ids]).max(axis=1)
+    bad = np.flatnonzero(apart_m > _SAME_CORNER_M)
+    if len(bad):
+        row = rows[bad[0]]
+        raise table.error(
+            int(bad[0]),
+            f"{board.corner_name(int(ids[bad[0]]))} lies at ({row['p_x']:g}, {row['p_y']:g}, {row['p_z']:g}) m on "
+            f"this file's board of {row['tag_cols']} x {row['tag_rows']} tags of {1000 * row['tag_size']:g} mm, "
+            f"spacing {row['tag_spacing']:g}, not where the manifest's board has it: {board.describe()}",
+        )
+    return ids
+
+
+_STAMP: tuple[str, Kind] = ("timestamp_ns", "stamp")
+_PIXEL: tuple[tuple[str, Kind], ...] = (("x_px", "number"), ("y_px", "number"))
+_LAYOUTS = (
+    _Layout((_STAMP, ("corner_id", "integer"), *_PIXEL), ("x_px", "y_px"), _corner_ids_as_given),
+    _Layout(
+        (_STAMP, ("tag_id", "integer"), ("corner_index", "integer"), *_PIXEL), ("x_px", "y_px"), _corner_ids_by_tag
+    ),
+    _Layout(
+        (
+            ("ts", "stamp"),
+            ("tag_rows", "integer"),
+            ("tag_cols", "integer"),
+            *((name, "number") for name in ("tag_size", "tag_spacing", "kp_x", "kp_y", "p_x", "p_y", "p_z")),
+            ("tag_id", "integer"),
+            ("corner_idx", "integer"),
+        ),
+        ("kp_x", "kp_y"),
+        _corner_ids_of_aprilgrid,
+    ),
+)
+
+
+def _read_file(path: Path, board: Cornered, camera: Camera) -> _Part:
+    table = open_table(path, ",")
+    layout = _layout(table)
+    rows = table.read(layout.columns)
+    corners_px = np.stack([rows[name] for name in layout.pixel], axis=1)
+    stamps_ns = table.stamps_ns(rows[layout.columns[0][0]], "ns")
+    _check_in_image(table, corners_px, camera)
+    return _Part(table, stamps_ns, layout.corner_ids(table, rows, board), corners_px)
+
+
+def _layout(table: TextTable) -> _Layout:
+    for layout in _LAYOUTS:
+        if table.header() == tuple(name for name, _ in layout.columns):
+            return layout
+    known = " or ".join(",".join(name for name, _ in layout.columns) for layout in _LAYOUTS[:2])
+    raise GtcalError(
+        f"{table.path}:1: the header is {','.join(table.header())!r}, not that of a file of detections; "
+        f"expected {known}"
+    )
+
+
+def _check_in_image(table: TextTable, corners_px: FloatArray, camera: Camera) -> None:
+    bad = np.flatnonzero(~camera.in_image(corners_px))
+    if len(bad):
+        x, y = corners_px[bad[0]]
+        raise table.error(
+            int(bad[0]),
+            f"the pixel ({x:g}, {y:g}) lies outside the {camera.image_width_px} x {camera.image_height_px} "
+            f"image of camera {camera.name!r}; were the corners found in images of another size?",
+        )
+
+
+def _joined(parts: list[_Part], board: Cornered, camera: Camera) -> CameraDetections:
+    """The parts as one, in order of time; within a view in the order of the files."""
+    stamps_ns = np.concatenate([part.stamps_ns for part in parts])
+    corner_ids = np.concatenate([part.corner_ids for part in parts])
+    corners_px = np.concatenate([part.corners_px for part in parts])
+    _check_unique(parts, stamps_ns, corner_ids, board)
+    order = np.argsort(stamps_ns, kind="stable")
+    view_stamps_ns, counts = np.unique(stamps_ns, return_counts=True)
+    view_start = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
+    return CameraDetections(view_stamps_ns, view_start, corner_ids[order], corners_px[order])
+
+
+def _check_unique(parts: list[_Part], stamps_ns: IntArray, corner_ids: IntArray, board: Cornered) -> None:
+    order = np.lexsort((corner_ids, stamps_ns))
+    same = (np.diff(stamps_ns[order]) == 0) & (np.diff(corner_ids[order]) == 0)
+    if not same.any():
+        return
+    row = int(order[1:][same].min())
+    name, stamp_ns = board.corner_name(int(corner_ids[row])), stamps_ns[row]
+    for part in parts:
+        if row < len(part.stamps_ns):
+            raise part.table.error(row, f"{name} appears twice in the view at {stamp_ns} ns")
+        row -= len(part.stamps_ns)

@@ -1,0 +1,301 @@
+"""A recording: cameras, board, detections or images, and the trajectories of the tracked bodies."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from factors import CAMERA_MODELS
+from gtcal.board import Board, board_from_manifest
+from gtcal.camera import Camera
+from gtcal.errors import GtcalError
+from gtcal.files import InputFile, fingerprint, write_text
+from gtcal.readers import TRAJECTORY_READERS, write_euroc_csv
+from gtcal.recordings.capture import Capture, RefMotion
+from gtcal.recordings.detection_files import read_detections, write_detections
+from gtcal.recordings.detections import CameraDetections, Cornered
+from gtcal.recordings.images import ImageSequence, image_folder, image_list
+from gtcal.recordings.manifest import (
+    MANIFEST_NAMES,
+    CameraEntry,
+    Manifest,
+    TrajectoryEntry,
+    did_you_mean,
+    find_manifest,
+    read_manifest,
+    write_manifest,
+)
+from gtcal.recordings.trajectory import Trajectory
+
+# A principal point this far from the middle in both axes alike is that of an image of another size, not of a lens
+# that sits off its sensor's middle.
+_SCALE_LIMITS = (0.6, 1.6)
+_SAME_SCALE = 0.15
+# A capture in which nothing moves by 2 cm calibrates nothing; metres read as millimetres look like that.
+_SMALLEST_MOTION_OF_MM_M = 0.02
+_MOST_UNEQUAL_FOCAL_LENGTHS = 2.0
+
+
+@dataclass(frozen=True)
+class Recording:
+    """All that a calibration is computed from.
+
+    path: the manifest, None for a recording that is not on disk.
+    cameras: by name.
+    detections: by camera; cameras that only have images yet are missing.
+    images: by camera; cameras that only have detections are missing.
+    platform, board_body: the trajectories that ``capture`` needs, the other None.
+    max_gap_s: the longest gap in a trajectory to interpolate across; None for each trajectory's own default.
+    inputs: the files that it was read from, images excepted.
+    Raises GtcalError where a camera has neither images nor detections, detections or images belong to no camera,
+    or the trajectories are not those of the capture.
+    """
+
+    path: Path | None
+    capture: Capture
+    cameras: dict[str, Camera]
+    board: Board
+    detections: dict[str, CameraDetections]
+    images: dict[str, ImageSequence] = field(default_factory=dict)
+    platform: Trajectory | None = None
+    board_body: Trajectory | None = None
+    max_gap_s: float | None = None
+    inputs: tuple[InputFile, ...] = ()
+
+    def __post_init__(self) -> None:
+        for what, owners in (("detections", self.detections), ("images", self.images)):
+            for name in owners:
+                if name not in self.cameras:
+                    raise GtcalError(
+                        f"camera {name!r} has {what} but is not in the recording; cameras: {', '.join(self.cameras)}"
+                    )
+        for name in self.cameras:
+            if name not in self.detections and name not in self.images:
+                raise GtcalError(f"camera {name!r} has neither images nor detections")
+        _ = self.motion  # checks the bodies against the capture
+
+    @cached_property
+    def motion(self) -> RefMotion:
+        """ref_T_body over time."""
+        return RefMotion(self.capture, self.platform, self.board_body, self.max_gap_s)
+
+
+def load_recording(path: Path | str) -> Recording:
+    """Read the recording in the folder (or with the manifest file) ``path``. Images are listed, not searched for
+    the board.
+
+    Raises GtcalError, in one line that names the file and the field or row, for anything that is wrong with it."""
+    manifest_path = find_manifest(Path(path))
+    manifest = read_manifest(manifest_path)
+    loader = Loader(manifest_path)
+    board = loader.board(manifest.board)
+    cameras = {name: loader.camera(name, entry) for name, entry in manifest.cameras.items()}
+    detections = {
+        name: loader.detections(name, entry.detections, board, cameras[name])
+        for name, entry in manifest.cameras.items()
+        if entry.detections is not None
+    }
+    images = {
+        name: loader.images(name, entry, cameras[name])
+        for name, entry in manifest.cameras.items()
+        if entry.images is not None or entry.image_list is not None
+    }
+    trajectories = {name: loader.trajectory(name, entry) for name, entry in manifest.bodies.items()}
+    loader.check_millimetres(manifest.bodies, trajectories)
+    return Recording(
+        path=manifest_path,
+        capture=Capture(manifest.capture),
+        cameras=cameras,
+        board=board,
+        detections=detections,
+        images=images,
+        platform=trajectories.get("platform"),
+        board_body=trajectories.get("board_body"),
+        max_gap_s=None if manifest.max_gap_ms is None else manifest.max_gap_ms / 1000,
+        inputs=tuple(fingerprint(file) for file in loader.used),
+    )
+
+
+def write_recording(recording: Recording, folder: Path | str) -> Path:
+    """Write a recording so that ``load_recording`` gives the same back: detections and trajectories with every
+    digit beside the manifest, whose path is returned. Images stay where they are and are pointed to. The manifest
+    comes last: before it is there, the folder is no recording.
+
+    Raises GtcalError where the folder can't be written."""
+    folder = Path(folder)
+    for name, detections in recording.detections.items():
+        write_detections(folder / detections_name(name), detections)
+    for name, trajectory in recording.motion.trajectories.items():
+        write_euroc_csv(folder / f"{name}.csv", trajectory)
+    manifest = Manifest(
+        gtcal_recording=1,
+        capture=recording.capture.value,
+        board=recording.board.to_manifest(),
+        cameras={
+            name: camera_entry(camera, recording.images.get(name), folder, with_detections=name in recording.detections)
+            for name, camera in recording.cameras.items()
+        },
+        **{
+            name: TrajectoryEntry(trajectory=f"{name}.csv", format="euroc_csv")
+            for name in recording.motion.trajectories
+        },
+        max_gap_ms=None if recording.max_gap_s is None else recording.max_gap_s * 1000,
+    )
+    write_manifest(folder / MANIFEST_NAMES[0], manifest)
+    return folder / MANIFEST_NAMES[0]
+
+
+class Loader:
+    """Reads what a manifest points to, and remembers which files those were."""
+
+    def __init__(self, manifest_path: Path) -> None:
+        self.manifest_path = manifest_path
+        self.used = [manifest_path]
+
+    def board(self, block: dict[str, object]) -> Board:
+        try:
+            return board_from_manifest(block)
+        except GtcalError as error:
+            raise self.error("board", str(error)) from None
+
+    def camera(self, name: str, entry: CameraEntry) -> Camera:
+        width, height = entry.image_size_px
+        model = CAMERA_MODELS[entry.model]
+        if entry.parameters is None:
+            return Camera(name, model, None, width, height)
+        where = f"cameras.{name}.parameters"
+        self._check_parameter_names(where, entry.model, entry.parameters)
+        self._check_parameters(where, entry.parameters, width, height)
+        theta = np.array([entry.parameters[parameter] for parameter in model.parameter_names])
+        return Camera(name, model, theta, width, height)
+
+    def detections(self, name: str, given: str, board: Cornered, camera: Camera) -> CameraDetections:
+        path = self._existing(f"cameras.{name}.detections", given)
+        self.used.append(path)
+        return read_detections(path, board, camera)
+
+    def images(self, name: str, entry: CameraEntry, camera: Camera) -> ImageSequence:
+        where = f"cameras.{name}"
+        folder = self._existing(f"{where}.images", entry.images) if entry.images is not None else None
+        if entry.image_list is not None:
+            listing = self._existing(f"{where}.image_list", entry.image_list)
+            self.used.append(listing)
+            images = image_list(listing, folder)
+        else:
+            assert folder is not None  # the manifest's own check
+            images = image_folder(folder)
+        images = images.expecting(camera.image_width_px, camera.image_height_px)
+        images.read(0)
+        return images
+
+    def trajectory(self, name: str, entry: TrajectoryEntry) -> Trajectory:
+        path = self._existing(f"{name}.trajectory", entry.trajectory)
+        self.used.append(path)
+        return TRAJECTORY_READERS[entry.format](path, name, entry.conventions)
+
+    def check_millimetres(self, bodies: dict[str, TrajectoryEntry], trajectories: dict[str, Trajectory]) -> None:
+        """Metres declared as millimetres leave every body within millimetres of where it started."""
+        motions_m = {
+            name: float(np.ptp(trajectory.world_T_body[:, :3, 3], axis=0).max())
+            for name, trajectory in trajectories.items()
+        }
+        largest_m = max(motions_m.values())
+        declared = [name for name, entry in bodies.items() if entry.length_unit == "mm"]
+        if declared and largest_m < _SMALLEST_MOTION_OF_MM_M:
+            raise self.error(
+                f"{declared[0]}.length_unit",
+                f"as mm, no body moves by more than {1000 * largest_m:.3g} mm in the whole recording; "
+                "are the positions metres? then set m",
+            )
+
+    def _existing(self, where: str, given: str) -> Path:
+        path = self.manifest_path.parent / given
+        if not path.exists():
+            raise self.error(where, f"there is no {path}")
+        return path
+
+    def _check_parameter_names(self, where: str, model: str, parameters: dict[str, float]) -> None:
+        names = CAMERA_MODELS[model].parameter_names
+        for name in parameters:
+            if name not in names:
+                raise self.error(
+                    f"{where}.{name}",
+                    f"is not a parameter of {model}{did_you_mean(name, names)}; parameters: {', '.join(names)}",
+                )
+        for name in names:
+            if name not in parameters:
+                raise self.error(f"{where}.{name}", f"is missing; {model} has {', '.join(names)}")
+
+    def _check_parameters(self, where: str, parameters: dict[str, float], width: int, height: int) -> None:
+        for name in ("fx", "fy"):
+            if parameters[name] <= 0:
+                raise self.error(f"{where}.{name}", f"is {parameters[name]:g}; a focal length is positive")
+        ratio = parameters["fx"] / parameters["fy"]
+        if not 1 / _MOST_UNEQUAL_FOCAL_LENGTHS < ratio < _MOST_UNEQUAL_FOCAL_LENGTHS:
+            raise self.error(
+                f"{where}.fx",
+                f"is {parameters['fx']:g}, but fy is {parameters['fy']:g}; pixels are nearly square: check both",
+            )
+        if hint := _other_image_size(parameters["cx"], parameters["cy"], width, height):
+            raise self.error(
+                where,
+                f"the principal point ({parameters['cx']:g}, {parameters['cy']:g}) px {hint}, not the {width} x "
+                f"{height} of image_size_px; the parameters look like another image size",
+            )
+
+    def error(self, where: str, message: str) -> GtcalError:
+        """An error about a field of the manifest."""
+        return GtcalError(f"{self.manifest_path}: {where}: {message}")
+
+
+def _other_image_size(cx: float, cy: float, width: int, height: int) -> str:
+    """Why the principal point can't be that of an image of this size, or nothing. Pixel centres are integers, so
+    that the image's middle is at (width - 1) / 2."""
+    across, down = (cx + 0.5) / (width / 2), (cy + 0.5) / (height / 2)
+    if not (0 <= across <= 2 and 0 <= down <= 2):
+        return f"lies in an image of about {round(2 * cx)} x {round(2 * cy)}"
+    low, high = _SCALE_LIMITS
+    alike = abs(across / down - 1) < _SAME_SCALE if down > 0 else False
+    if alike and (max(across, down) < low or min(across, down) > high):
+        return f"is the middle of an image of about {round(2 * cx)} x {round(2 * cy)}"
+    return ""
+
+
+def camera_entry(camera: Camera, images: ImageSequence | None, folder: Path, *, with_detections: bool) -> CameraEntry:
+    """The manifest's entry of a camera, for a manifest in ``folder``; a list of its images is written where their
+    names need one."""
+    theta = None if camera.parameters is None else camera.parameters.tolist()
+    image_dir, listing = (None, None) if images is None else _write_image_list(images, camera.name, folder)
+    return CameraEntry(
+        model=camera.model.name,
+        image_size_px=[camera.image_width_px, camera.image_height_px],
+        parameters=None if theta is None else dict(zip(camera.model.parameter_names, theta, strict=True)),
+        images=image_dir,
+        image_list=listing,
+        detections=detections_name(camera.name) if with_detections else None,
+    )
+
+
+def detections_name(camera: str) -> str:
+    """The file of a camera's detections beside the manifest."""
+    return f"{camera}_detections.csv"
+
+
+def _write_image_list(images: ImageSequence, name: str, folder: Path) -> tuple[str, str | None]:
+    """The manifest's 'images' and 'image_list': a folder of images named by time stamp needs no list."""
+    folders = {path.parent for path in images.paths}
+    if len(folders) != 1:
+        raise GtcalError(f"camera {name!r}: the images are in {len(folders)} folders; put them in one")
+    (image_dir,) = folders
+    where = Path(os.path.relpath(image_dir, folder)).as_posix()
+    stamped = [path.stem == str(stamp) for stamp, path in zip(images.stamps_ns, images.paths, strict=True)]
+    if all(stamped) and len(image_folder(image_dir)) == len(images):
+        return where, None
+    listing = f"{name}_images.csv"
+    rows = (f"{stamp},{path.name}\n" for stamp, path in zip(images.stamps_ns, images.paths, strict=True))
+    write_text(folder / listing, "".join(["#timestamp [ns],filename\n", *rows]))
+    return where, listing

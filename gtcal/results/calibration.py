@@ -1,0 +1,190 @@
+"""What a calibration found, how sure it is, and how it was found."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import gtsam
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from factors.rigid import inverse
+from gtcal.camera import Camera, FloatArray
+from gtcal.estimation.estimate import Estimate
+from gtcal.estimation.observations import Dropped, Views
+from gtcal.files import InputFile
+from gtcal.recordings.capture import Capture
+
+ERRORS_IN_VARIABLES = "errors_in_variables"
+"""The covariance of stage 4: the mocap's noise is modelled, by the sigmas that were given."""
+
+NAIVE = "naive"
+"""The covariance of the paper's objective: corners independent, the mocap's poses exact, scaled by the residual. Mocap
+noise moves all corners of a frame together, so where it matters this is too small."""
+
+
+@dataclass(frozen=True)
+class PoseEstimate:
+    """A rigid transform with its uncertainty.
+
+    a_T_b: (4, 4).
+    covariance: (6, 6) of xi in a_T_b * Exp(xi): rotation first, in rad and m, along the axes of frame b. None where
+        no covariance was computed."""
+
+    a_T_b: FloatArray
+    covariance: FloatArray | None
+
+    @property
+    def rotation_sigma_deg(self) -> FloatArray | None:
+        """(3,) 1-sigma of the attitude about the axes of b."""
+        return None if self.covariance is None else np.rad2deg(np.sqrt(np.diag(self.covariance)[:3]))
+
+    @property
+    def position_of_a_in_b_m(self) -> FloatArray:
+        """(3,) the origin of a in b: for camera_T_ref, where the camera is."""
+        return inverse(self.a_T_b)[:3, 3]
+
+    @property
+    def position_of_a_in_b_covariance_m2(self) -> FloatArray | None:
+        """(3, 3) of ``position_of_a_in_b_m``: Exp(-xi) b_T_a moves the origin p by p x rotation - translation."""
+        if self.covariance is None:
+            return None
+        x, y, z = self.position_of_a_in_b_m
+        J = np.hstack([[[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]], -np.eye(3)])
+        return J @ self.covariance @ J.T
+
+    @property
+    def position_of_a_in_b_sigma_mm(self) -> FloatArray | None:
+        """(3,) 1-sigma of ``position_of_a_in_b_m`` along the axes of b."""
+        covariance = self.position_of_a_in_b_covariance_m2
+        return None if covariance is None else 1e3 * np.sqrt(np.diag(covariance))
+
+    @property
+    def position_of_b_in_a_sigma_mm(self) -> FloatArray | None:
+        """(3,) 1-sigma of the origin of b along the axes of a: for body_T_board, of the board's origin in the body."""
+        if self.covariance is None:
+            return None
+        R = self.a_T_b[:3, :3]
+        return 1e3 * np.sqrt(np.diag(R @ self.covariance[3:, 3:] @ R.T))
+
+
+def pose_difference(found_a_T_b: FloatArray, true_a_T_b: FloatArray) -> tuple[float, float]:
+    """Distance in mm between the origins of b in a, and angle in deg between the attitudes, of two transforms."""
+    position_mm = 1e3 * float(np.linalg.norm(found_a_T_b[:3, 3] - true_a_T_b[:3, 3]))
+    turn = Rotation.from_matrix(found_a_T_b[:3, :3].T @ true_a_T_b[:3, :3])
+    return position_mm, float(np.rad2deg(turn.magnitude()))
+
+
+@dataclass(frozen=True)
+class ResidualStatistics:
+    """Reprojection residuals of the corners that were used; norms in px.
+
+    rmse_px is pooled per corner: the root of the mean squared norm. n_without_pixel: corners among them that the result
+    places where the lens has no pixel; the other numbers leave them out."""
+
+    rmse_px: float
+    median_px: float
+    p95_px: float
+    worst_px: float
+    n_views: int
+    n_corners: int
+    n_without_pixel: int
+
+    @staticmethod
+    def of(norms_px: FloatArray, n_views: int) -> ResidualStatistics:
+        """Of the corners' residual norms (N,), infinite for those without a pixel."""
+        finite = norms_px[np.isfinite(norms_px)]
+        return ResidualStatistics(
+            rmse_px=float(np.sqrt(np.mean(finite**2))),
+            median_px=float(np.median(finite)),
+            p95_px=float(np.quantile(finite, 0.95)),
+            worst_px=float(finite.max()),
+            n_views=n_views,
+            n_corners=len(norms_px),
+            n_without_pixel=len(norms_px) - len(finite),
+        )
+
+
+@dataclass(frozen=True)
+class CameraCalibration:
+    """One camera: with the intrinsics used or found, where it is, and how well its corners fit.
+
+    theta_covariance: (K, K) of the intrinsics where they were solved for, else None."""
+
+    camera: Camera
+    camera_T_ref: PoseEstimate
+    theta_covariance: FloatArray | None
+    residuals: ResidualStatistics
+
+
+@dataclass(frozen=True)
+class StageReport:
+    """One stage of the solution.
+
+    error_before, error_after: of the stage's own objective, in ``error_unit``; of stage 1, that of its worst and its
+        best start; of the intrinsics, what they leave when each view has a board pose of its own.
+    median_px: median reprojection residual over all views after the stage; of PnP, with a pose of each view's own."""
+
+    stage: int
+    name: str
+    iterations: int
+    error_before: float
+    error_after: float
+    error_unit: str
+    median_px: float
+    duration_s: float
+
+
+@dataclass(frozen=True)
+class Provenance:
+    """How a result was made."""
+
+    created_utc: str
+    command_line: tuple[str, ...]
+    versions: dict[str, str]
+    options: dict[str, object]
+    inputs: tuple[InputFile, ...]
+    duration_s: float
+
+
+@dataclass(frozen=True)
+class Solution:
+    """The optimised problem, for those who want to go on from it: add a factor, solve again.
+
+    graph, values: GTSAM's, keys as in ``gtcal.estimation.graph``. views: the views and corners that were used, by
+    camera."""
+
+    graph: gtsam.NonlinearFactorGraph
+    values: gtsam.Values
+    estimate: Estimate
+    views: dict[str, Views]
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """The result of ``calibrate``.
+
+    sigma_px: standard deviation of one pixel coordinate, estimated from the residuals or as given.
+    covariance_kind: which covariance the estimates carry.
+    warnings: what the operator should know, a line each.
+    solution: None where the calibration was read from a file."""
+
+    capture: Capture
+    cameras: dict[str, CameraCalibration]
+    body_T_board: PoseEstimate
+    board: dict[str, object]
+    sigma_px: float
+    covariance_kind: str
+    stages: tuple[StageReport, ...]
+    dropped: tuple[Dropped, ...]
+    warnings: tuple[str, ...]
+    provenance: Provenance
+    solution: Solution | None = field(default=None, compare=False, repr=False)
+
+    @property
+    def rmse_px(self) -> float:
+        """Pooled over the corners of all cameras."""
+        parts = [camera.residuals for camera in self.cameras.values()]
+        counts = [part.n_corners - part.n_without_pixel for part in parts]
+        squares = sum(part.rmse_px**2 * count for part, count in zip(parts, counts, strict=True))
+        return float(np.sqrt(squares / sum(counts)))

@@ -1,0 +1,180 @@
+"""calibration.json: a calibration on disk, readable back without loss.
+
+Matrices are row-major lists of rows. Next to each transform stand its quaternion and translation for people and other
+programs; reading takes the matrix.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, fields
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+
+from factors import CAMERA_MODELS
+from gtcal.camera import Camera, FloatArray
+from gtcal.estimation.observations import Dropped
+from gtcal.files import InputFile, write_text
+from gtcal.recordings.capture import Capture
+from gtcal.recordings.trajectory import quaternions_from_poses
+from gtcal.results.calibration import (
+    Calibration,
+    CameraCalibration,
+    PoseEstimate,
+    Provenance,
+    ResidualStatistics,
+    StageReport,
+)
+from gtcal.results.result_file import read_result
+
+SCHEMA_VERSION = 1
+
+_Made = TypeVar("_Made")
+
+CONVENTIONS = (
+    "a_T_b takes coordinates in frame b to coordinates in frame a, in m. A covariance is that of xi in "
+    "a_T_b * Exp(xi), the tangent of GTSAM's Pose3: rotation first (rad), then translation (m), along the axes of b. "
+    "Camera frame: x right, y down, z forward. Pixels: integer coordinates are pixel centres. "
+    "rmse_px is pooled per corner, the root of the mean squared norm."
+)
+
+
+def write_calibration(path: Path | str, calibration: Calibration) -> None:
+    """Write calibration.json, whole or not at all. Raises GtcalError where it can't be written."""
+    write_text(Path(path), json.dumps(_document(calibration), indent=1, allow_nan=False) + "\n")
+
+
+def read_calibration(path: Path | str) -> Calibration:
+    """Read what ``write_calibration`` wrote.
+
+    Raises GtcalError for a file that is missing, no JSON, of a newer schema, or lacks a field."""
+    return read_result(Path(path), "calibration", SCHEMA_VERSION, _calibration)
+
+
+def _document(calibration: Calibration) -> dict[str, Any]:
+    return {
+        "gtcal_calibration": SCHEMA_VERSION,
+        "conventions": CONVENTIONS,
+        "capture": calibration.capture.value,
+        "board": calibration.board,
+        "rmse_px": calibration.rmse_px,
+        "sigma_px": calibration.sigma_px,
+        "covariance_kind": calibration.covariance_kind,
+        "warnings": list(calibration.warnings),
+        "cameras": {name: _camera_document(camera) for name, camera in calibration.cameras.items()},
+        "body_T_board": _board_document(calibration.body_T_board),
+        "stages": [_without_nan(asdict(stage)) for stage in calibration.stages],
+        "dropped": [asdict(dropped) for dropped in calibration.dropped],
+        "provenance": _provenance_document(calibration.provenance),
+    }
+
+
+def _camera_document(calibrated: CameraCalibration) -> dict[str, Any]:
+    camera, pose, covariance = calibrated.camera, calibrated.camera_T_ref, calibrated.theta_covariance
+    names = camera.model.parameter_names
+    return {
+        "model": camera.model.name,
+        "image_size_px": [camera.image_width_px, camera.image_height_px],
+        "parameters": dict(zip(names, camera.theta.tolist(), strict=True)),
+        "parameter_sigmas": None
+        if covariance is None
+        else dict(zip(names, np.sqrt(np.diag(covariance)).tolist(), strict=True)),
+        "parameter_covariance": _list(covariance),
+        "camera_T_ref": _pose_document(pose)
+        | {
+            "position_of_camera_in_ref_m": pose.position_of_a_in_b_m.tolist(),
+            "position_of_camera_in_ref_sigma_mm": _list(pose.position_of_a_in_b_sigma_mm),
+        },
+        "residuals": asdict(calibrated.residuals),
+    }
+
+
+def _board_document(pose: PoseEstimate) -> dict[str, Any]:
+    return _pose_document(pose) | {"position_of_board_in_body_sigma_mm": _list(pose.position_of_b_in_a_sigma_mm)}
+
+
+def _pose_document(pose: PoseEstimate) -> dict[str, Any]:
+    quat_wxyz = quaternions_from_poses(pose.a_T_b[None], "wxyz")[0]
+    return {
+        "matrix": pose.a_T_b.tolist(),
+        "quat_wxyz": quat_wxyz.tolist(),
+        "t_m": pose.a_T_b[:3, 3].tolist(),
+        "rotation_sigma_deg": _list(pose.rotation_sigma_deg),
+        "covariance": _list(pose.covariance),
+    }
+
+
+def _provenance_document(provenance: Provenance) -> dict[str, Any]:
+    inputs = [{"path": str(entry.path), "sha256": entry.sha256} for entry in provenance.inputs]
+    return asdict(provenance) | {"inputs": inputs, "command_line": list(provenance.command_line)}
+
+
+def _list(array: FloatArray | None) -> list[Any] | None:
+    return None if array is None else array.tolist()
+
+
+def _without_nan(fields: dict[str, Any]) -> dict[str, Any]:
+    """JSON has no NaN: what a stage has no number for is null."""
+    return {key: None if value != value else value for key, value in fields.items()}
+
+
+def _calibration(document: Mapping[str, Any]) -> Calibration:
+    return Calibration(
+        capture=Capture(document["capture"]),
+        cameras={name: _camera(name, block) for name, block in document["cameras"].items()},
+        body_T_board=_pose(document["body_T_board"]),
+        board=document["board"],
+        sigma_px=float(document["sigma_px"]),
+        covariance_kind=document["covariance_kind"],
+        stages=tuple(_stage(block) for block in document["stages"]),
+        dropped=tuple(_made(Dropped, block) for block in document["dropped"]),
+        warnings=tuple(document["warnings"]),
+        provenance=_provenance(document["provenance"]),
+    )
+
+
+def _camera(name: str, block: Mapping[str, Any]) -> CameraCalibration:
+    if block["model"] not in CAMERA_MODELS:
+        raise ValueError(f"cameras.{name}.model {block['model']!r}; choose from {', '.join(CAMERA_MODELS)}")
+    model, (width_px, height_px) = CAMERA_MODELS[block["model"]], block["image_size_px"]
+    theta = np.array([block["parameters"][parameter] for parameter in model.parameter_names], dtype=np.float64)
+    return CameraCalibration(
+        camera=Camera(name, model, theta, width_px, height_px),
+        camera_T_ref=_pose(block["camera_T_ref"]),
+        theta_covariance=_array(block["parameter_covariance"], (len(theta), len(theta))),
+        residuals=_made(ResidualStatistics, block["residuals"]),
+    )
+
+
+def _pose(block: Mapping[str, Any]) -> PoseEstimate:
+    matrix = _array(block["matrix"], (4, 4))
+    if matrix is None:
+        raise ValueError("matrix is null")
+    return PoseEstimate(matrix, _array(block["covariance"], (6, 6)))
+
+
+def _array(rows: Any, shape: tuple[int, ...]) -> FloatArray | None:
+    if rows is None:
+        return None
+    array = np.array(rows, dtype=np.float64)
+    if array.shape != shape:
+        raise ValueError(f"a matrix of shape {array.shape}, expected {shape}")
+    return array
+
+
+def _stage(block: Mapping[str, Any]) -> StageReport:
+    given: dict[str, Any] = {key: float("nan") if value is None else value for key, value in block.items()}
+    return _made(StageReport, given)
+
+
+def _provenance(block: Mapping[str, Any]) -> Provenance:
+    inputs = tuple(InputFile(Path(entry["path"]), entry["sha256"]) for entry in block["inputs"])
+    return _made(Provenance, {**block, "inputs": inputs, "command_line": tuple(block["command_line"])})
+
+
+def _made(kind: type[_Made], block: Mapping[str, Any]) -> _Made:
+    """A dataclass from its fields; KeyError for the first that is missing."""
+    return kind(**{field.name: block[field.name] for field in fields(kind)})  # type: ignore[arg-type]

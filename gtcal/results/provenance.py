@@ -1,0 +1,44 @@
+"""How a result was made."""
+
+from __future__ import annotations
+
+import datetime
+import platform
+import sys
+from dataclasses import asdict
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+from gtcal.estimation.options import CalibrationOptions
+from gtcal.files import InputFile
+from gtcal.results.calibration import Provenance
+from gtcal.verification.verification import VerificationOptions
+
+_LIBRARIES = ("gtcal", "gtsam", "numpy", "numba", "opencv-contrib-python-headless", "scipy")
+
+
+def provenance(
+    options: CalibrationOptions | VerificationOptions, inputs: tuple[InputFile, ...], duration_s: float
+) -> Provenance:
+    """The circumstances of a result computed just now."""
+    return Provenance(
+        created_utc=datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
+        command_line=(Path(sys.argv[0]).name, *sys.argv[1:]),
+        versions={"python": platform.python_version()} | {name: _version(name) for name in _LIBRARIES},
+        options=_plain(asdict(options)),
+        inputs=inputs,
+        duration_s=duration_s,
+    )
+
+
+def _version(library: str) -> str:
+    try:
+        return metadata.version(library)
+    except metadata.PackageNotFoundError:
+        return "not installed as a package"
+
+
+def _plain(options: dict[str, Any]) -> dict[str, Any]:
+    """As JSON knows it: tuples as lists."""
+    return {key: list(value) if isinstance(value, tuple) else value for key, value in options.items()}

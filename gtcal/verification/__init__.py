@@ -1,0 +1,1 @@
+"""A second, independent recording tells whether a calibration is true."""
