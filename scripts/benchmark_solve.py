@@ -31,13 +31,14 @@ from factors import CornerReprojectionFactor, RobustKernel
 from factors.moments import chain
 from gtcal import CalibrationOptions, board_from_manifest, synchronise
 from gtcal.camera import FloatArray
-from gtcal.estimation.adjustment import adjust, covariances
+from gtcal.estimation.adjustment import adjust, joint_covariance
 from gtcal.estimation.alignment import GuideViews, stage_1, stage_2
 from gtcal.estimation.estimate import Estimate
 from gtcal.estimation.graph import BODY_T_BOARD, camera_T_ref_key, minimise, reprojection_graph, to_values, updated
 from gtcal.estimation.observations import Observations, Views
 from gtcal.estimation.pnp import solve_pnp
 from gtcal.estimation.residuals import chain_residuals_px, select_views
+from gtcal.results.covariance import NAIVE
 from gtcal.simulation import SimulationOptions, quest3_like_rig, simulate
 
 BOARD = {
@@ -90,7 +91,7 @@ def solve(views: Mapping[str, Views]) -> tuple[Estimate, Estimate, Seconds]:
         lambda: stage_2(aligned.views, aligned.estimate, eps=OPTIONS.eps, max_iterations=100)
     )
     adjusted, seconds[STAGE_3] = timed(lambda: adjust(views, start, OPTIONS))
-    _, seconds["marginals"] = timed(lambda: covariances(adjusted))
+    _, seconds["marginals"] = timed(lambda: joint_covariance(adjusted, NAIVE))
     return start, adjusted.estimate, seconds
 
 

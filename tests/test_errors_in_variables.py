@@ -13,7 +13,8 @@ from gtcal import CalibrationOptions, GtcalError, calibrate_observations, synchr
 from gtcal.estimation.errors_in_variables import ref_T_body_covariance
 from gtcal.estimation.options import MocapSigmas
 from gtcal.recordings.capture import Capture
-from gtcal.results.calibration import ERRORS_IN_VARIABLES, NAIVE, PoseEstimate, pose_difference
+from gtcal.results.calibration import PoseEstimate, pose_difference
+from gtcal.results.covariance import ERRORS_IN_VARIABLES, NAIVE
 from gtcal.simulation import MocapNoise, SimulationOptions, simulate
 
 SIGMAS = MocapSigmas(translation_mm=0.2, rotation_deg=0.02)

@@ -24,7 +24,7 @@ from factors import ROBUST_KERNELS, RobustKernel
 from factors.moments import chain
 from gtcal.camera import Camera
 from gtcal.errors import GtcalError
-from gtcal.estimation.adjustment import adjust, covariances
+from gtcal.estimation.adjustment import adjust, joint_covariance
 from gtcal.estimation.alignment import stage_1, stage_2
 from gtcal.estimation.graph import camera_T_ref_key, minimise, reprojection_graph, to_values
 from gtcal.estimation.observations import Observations, Views, synchronise
@@ -32,6 +32,7 @@ from gtcal.estimation.options import CalibrationOptions
 from gtcal.estimation.residuals import select_corners, select_views
 from gtcal.estimation.solver import DisagreementError, calibrate_observations
 from gtcal.results.calibration import Calibration
+from gtcal.results.covariance import NAIVE
 from gtcal.simulation import CornerNoise, MocapNoise, Simulation
 from gtcal.simulation.transforms import apply
 
@@ -179,7 +180,7 @@ def test_the_covariance_is_that_of_the_normal_equations() -> None:
             columns.append(np.concatenate(rows))
     J = np.stack(columns, axis=1)
     expected = adjusted.sigma_px**2 * np.linalg.inv(J.T @ J)
-    joint = covariances(adjusted).joint
+    joint = joint_covariance(adjusted, NAIVE).matrix
     scale = np.sqrt(np.diag(expected))
     np.testing.assert_allclose(joint / np.outer(scale, scale), expected / np.outer(scale, scale), atol=1e-4)
 

@@ -13,7 +13,8 @@ from rich.text import Text
 from factors.rigid import inverse
 from gtcal.camera import FloatArray
 from gtcal.recordings.recording import Recording
-from gtcal.results.calibration import ERRORS_IN_VARIABLES, NAIVE, Calibration, StageReport, pose_difference
+from gtcal.results.calibration import Calibration, StageReport, pose_difference
+from gtcal.results.covariance import ERRORS_IN_VARIABLES, NAIVE
 from gtcal.simulation import GroundTruth
 
 _COVARIANCES = {

@@ -26,6 +26,7 @@ from gtcal.estimation.observations import Views
 from gtcal.estimation.options import CalibrationOptions
 from gtcal.estimation.screening import Screened, keep_all, screen
 from gtcal.progress import Progress, silent
+from gtcal.results.covariance import JointCovariance
 
 MAX_ROUNDS = 6
 """Of screening and solving; two do unless the first estimate was poor."""
@@ -146,39 +147,21 @@ def _settled(before_px: float, after_px: float, options: CalibrationOptions) -> 
     return independent or abs(after_px - before_px) < 0.02 * before_px
 
 
-@dataclass(frozen=True)
-class Covariances:
-    """Marginal covariances in the variables' tangents. theta: by camera, where the intrinsics were solved for.
-
-    joint: (6 + 6 C, 6 + 6 C) of X, then each Y_c."""
-
-    body_T_board: FloatArray
-    camera_T_ref: dict[str, FloatArray]
-    theta: dict[str, FloatArray]
-    joint: FloatArray
-
-
-def covariances(adjusted: Adjusted) -> Covariances:
-    """GTSAM's marginals at the solution.
+def joint_covariance(adjusted: Adjusted, kind: str) -> JointCovariance:
+    """GTSAM's marginals at the solution, which are of this kind.
 
     Raises GtcalError where the data leave a direction open."""
-    names = list(adjusted.screened.views)
+    sizes = {name: views.camera.model.n_parameters for name, views in adjusted.screened.views.items()}
+    free = {index for index in range(len(sizes)) if adjusted.values.exists(theta_key(index))}
+    keys = [BODY_T_BOARD, *map(camera_T_ref_key, range(len(sizes))), *map(theta_key, sorted(free))]
     try:
-        marginals = gtsam.Marginals(adjusted.graph, adjusted.values)
-        poses = [BODY_T_BOARD, *(camera_T_ref_key(index) for index in range(len(names)))]
-        joint = _joint(marginals, poses)
-        theta = {
-            name: marginals.marginalCovariance(theta_key(index))
-            for index, name in enumerate(names)
-            if adjusted.values.exists(theta_key(index))
-        }
+        joint = _joint(gtsam.Marginals(adjusted.graph, adjusted.values), keys)
     except RuntimeError as error:
         raise GtcalError(
             "the views leave a direction of the solution open, so it has no covariance: record more views, turning the "
             "board about several axes and over the whole image"
         ) from error
-    blocks = {name: joint[6 * i : 6 * i + 6, 6 * i : 6 * i + 6] for i, name in enumerate(names, start=1)}
-    return Covariances(joint[:6, :6], blocks, theta, joint)
+    return JointCovariance(kind, {name: size * (i in free) for i, (name, size) in enumerate(sizes.items())}, joint)
 
 
 def _joint(marginals: gtsam.Marginals, keys: list[int]) -> FloatArray:

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from gtcal.errors import GtcalError
-from gtcal.estimation.adjustment import Adjusted, Covariances, adjust, covariances, not_adjusted
+from gtcal.estimation.adjustment import Adjusted, adjust, joint_covariance, not_adjusted
 from gtcal.estimation.alignment import GuideViews, fitting_views, stage_1, stage_2, without_stage_1
 from gtcal.estimation.errors_in_variables import adjust_with_mocap_noise
 from gtcal.estimation.estimate import Estimate
@@ -21,8 +21,6 @@ from gtcal.estimation.residuals import chain_residuals_px, median_by_view, norms
 from gtcal.files import InputFile
 from gtcal.progress import Progress, silent
 from gtcal.results.calibration import (
-    ERRORS_IN_VARIABLES,
-    NAIVE,
     Calibration,
     CameraCalibration,
     PoseEstimate,
@@ -30,6 +28,7 @@ from gtcal.results.calibration import (
     Solution,
     StageReport,
 )
+from gtcal.results.covariance import ERRORS_IN_VARIABLES, NAIVE, JointCovariance
 from gtcal.results.provenance import provenance
 
 DISAGREEMENT_RAD = np.deg2rad(3.0)
@@ -78,7 +77,8 @@ def calibrate_observations(
     _motion_warnings(views, options)
     estimate, reports = _align(views, options, progress)
     adjusted, later = _adjust(observations, estimate, options, progress)
-    sigmas = covariances(adjusted) if 3 in options.stages else None
+    kind = NAIVE if options.mocap is None else ERRORS_IN_VARIABLES
+    sigmas = joint_covariance(adjusted, kind) if 3 in options.stages else None
     final = adjusted.estimate
     return Calibration(
         capture=observations.capture,
@@ -86,7 +86,8 @@ def calibrate_observations(
         body_T_board=PoseEstimate(final.body_T_board, sigmas.body_T_board if sigmas else None),
         board=observations.board.to_manifest(),
         sigma_px=adjusted.sigma_px,
-        covariance_kind=NAIVE if options.mocap is None else ERRORS_IN_VARIABLES,
+        covariance_kind=kind,
+        covariances={kind: sigmas} if sigmas else {},
         stages=(*earlier, *reports, *later),
         dropped=observations.dropped + adjusted.screened.dropped(views),
         warnings=(*_warnings(adjusted, sigmas, options), *_fit_warnings((*reports, *later))),
@@ -120,7 +121,7 @@ def _motion_warnings(views: Mapping[str, Views], options: CalibrationOptions) ->
     return () if warning is None else (warning,)
 
 
-def _warnings(adjusted: Adjusted, sigmas: Covariances | None, options: CalibrationOptions) -> tuple[str, ...]:
+def _warnings(adjusted: Adjusted, sigmas: JointCovariance | None, options: CalibrationOptions) -> tuple[str, ...]:
     """The motion is looked at again without the gross views, whose wrong poses would pass for turns."""
     motion = _motion_warnings(adjusted.screened.views, options)
     return (*motion, *_screening_warnings(adjusted), *(_sigma_warnings(adjusted, sigmas) if sigmas else ()))
@@ -137,10 +138,10 @@ def _fit_warnings(reports: tuple[StageReport, ...]) -> tuple[str, ...]:
     )
 
 
-def _sigma_warnings(adjusted: Adjusted, sigmas: Covariances) -> tuple[str, ...]:
+def _sigma_warnings(adjusted: Adjusted, sigmas: JointCovariance) -> tuple[str, ...]:
     found = []
-    for name, covariance in sigmas.camera_T_ref.items():
-        pose = PoseEstimate(adjusted.estimate.camera_T_ref[name], covariance)
+    for name in adjusted.screened.views:
+        pose = PoseEstimate(adjusted.estimate.camera_T_ref[name], sigmas.camera_T_ref(name))
         mm, deg = pose.position_of_a_in_b_sigma_mm, pose.rotation_sigma_deg
         if mm is not None and deg is not None and (mm.max() > WEAK_SIGMA_MM or deg.max() > WEAK_SIGMA_DEG):
             found.append(
@@ -248,7 +249,7 @@ def _check_agreement(views: Mapping[str, Views], estimate: Estimate) -> None:
         raise DisagreementError(float(np.rad2deg(angle_rad)))
 
 
-def _camera(views: Views, adjusted: Adjusted, sigmas: Covariances | None) -> CameraCalibration:
+def _camera(views: Views, adjusted: Adjusted, sigmas: JointCovariance | None) -> CameraCalibration:
     name = views.camera.name
     used, estimate = adjusted.screened.views[name], adjusted.estimate
     lengths_px = adjusted.screened.lengths_px[name]
@@ -259,7 +260,7 @@ def _camera(views: Views, adjusted: Adjusted, sigmas: Covariances | None) -> Cam
         )
     return CameraCalibration(
         camera=replace(views.camera, parameters=estimate.theta[name]),
-        camera_T_ref=PoseEstimate(estimate.camera_T_ref[name], sigmas.camera_T_ref[name] if sigmas else None),
-        theta_covariance=sigmas.theta.get(name) if sigmas else None,
+        camera_T_ref=PoseEstimate(estimate.camera_T_ref[name], sigmas.camera_T_ref(name) if sigmas else None),
+        theta_covariance=sigmas.theta(name) if sigmas else None,
         residuals=ResidualStatistics.of(lengths_px, used.n_views),
     )

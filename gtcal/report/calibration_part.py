@@ -12,7 +12,8 @@ from gtcal.report.evidence import Evidence
 from gtcal.report.pictures import CAMERA_COLOURS, Picture
 from gtcal.report.residual_figures import covered_share, residual_pictures
 from gtcal.report.scene import BODY_NAMES, REF_NAMES, Scene, build_scene
-from gtcal.results.calibration import ERRORS_IN_VARIABLES, NAIVE, Calibration, CameraCalibration, PoseEstimate
+from gtcal.results.calibration import Calibration, CameraCalibration, PoseEstimate
+from gtcal.results.covariance import ERRORS_IN_VARIABLES, NAIVE
 from gtcal.verification.verification import Verification
 
 MOST_DETAILED_CAMERAS = 12

@@ -14,13 +14,7 @@ from gtcal.estimation.estimate import Estimate
 from gtcal.estimation.observations import Dropped, Views
 from gtcal.files import InputFile
 from gtcal.recordings.capture import Capture
-
-ERRORS_IN_VARIABLES = "errors_in_variables"
-"""The covariance of stage 4: the mocap's noise is modelled, by the sigmas that were given."""
-
-NAIVE = "naive"
-"""The covariance of the paper's objective: corners independent, the mocap's poses exact, scaled by the residual. Mocap
-noise moves all corners of a frame together, so where it matters this is too small."""
+from gtcal.results.covariance import JointCovariance
 
 
 @dataclass(frozen=True)
@@ -165,7 +159,9 @@ class Calibration:
     """The result of ``calibrate``.
 
     sigma_px: standard deviation of one pixel coordinate, estimated from the residuals or as given.
-    covariance_kind: which covariance the estimates carry.
+    covariances: of X, every Y_c and every theta_c together, by kind (``gtcal.results.covariance``); none without
+        stage 3.
+    covariance_kind: which of them the estimates carry.
     warnings: what the operator should know, a line each.
     solution: None where the calibration was read from a file."""
 
@@ -175,11 +171,17 @@ class Calibration:
     board: dict[str, object]
     sigma_px: float
     covariance_kind: str
+    covariances: dict[str, JointCovariance]
     stages: tuple[StageReport, ...]
     dropped: tuple[Dropped, ...]
     warnings: tuple[str, ...]
     provenance: Provenance
     solution: Solution | None = field(default=None, compare=False, repr=False)
+
+    @property
+    def covariance(self) -> JointCovariance | None:
+        """The one that the estimates carry."""
+        return self.covariances.get(self.covariance_kind)
 
     @property
     def rmse_px(self) -> float:

@@ -28,6 +28,7 @@ from gtcal.results.calibration import (
     ResidualStatistics,
     StageReport,
 )
+from gtcal.results.covariance import JointCovariance
 from gtcal.results.result_file import read_result
 
 SCHEMA_VERSION = 1
@@ -66,6 +67,7 @@ def _document(calibration: Calibration) -> dict[str, Any]:
         "warnings": list(calibration.warnings),
         "cameras": {name: _camera_document(camera) for name, camera in calibration.cameras.items()},
         "body_T_board": _board_document(calibration.body_T_board),
+        "covariances": {kind: _covariance_document(joint) for kind, joint in calibration.covariances.items()},
         "stages": [_without_nan(asdict(stage)) for stage in calibration.stages],
         "dropped": [asdict(dropped) for dropped in calibration.dropped],
         "provenance": _provenance_document(calibration.provenance),
@@ -112,6 +114,11 @@ def _provenance_document(provenance: Provenance) -> dict[str, Any]:
     return asdict(provenance) | {"inputs": inputs, "command_line": list(provenance.command_line)}
 
 
+def _covariance_document(joint: JointCovariance) -> dict[str, Any]:
+    """Of X, each Y_c, then each theta_c that was solved for."""
+    return {"theta_sizes": joint.theta_sizes, "matrix": joint.matrix.tolist()}
+
+
 def _list(array: FloatArray | None) -> list[Any] | None:
     return None if array is None else array.tolist()
 
@@ -129,6 +136,7 @@ def _calibration(document: Mapping[str, Any]) -> Calibration:
         board=document["board"],
         sigma_px=float(document["sigma_px"]),
         covariance_kind=document["covariance_kind"],
+        covariances={kind: _joint_covariance(kind, block) for kind, block in document["covariances"].items()},
         stages=tuple(_stage(block) for block in document["stages"]),
         dropped=tuple(_made(Dropped, block) for block in document["dropped"]),
         warnings=tuple(document["warnings"]),
@@ -154,6 +162,10 @@ def _pose(block: Mapping[str, Any]) -> PoseEstimate:
     if matrix is None:
         raise ValueError("matrix is null")
     return PoseEstimate(matrix, _array(block["covariance"], (6, 6)))
+
+
+def _joint_covariance(kind: str, block: Mapping[str, Any]) -> JointCovariance:
+    return JointCovariance(kind, dict(block["theta_sizes"]), np.array(block["matrix"], dtype=np.float64))
 
 
 def _array(rows: Any, shape: tuple[int, ...]) -> FloatArray | None:

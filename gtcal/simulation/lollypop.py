@@ -217,6 +217,7 @@ def exact_calibration(
         board={},
         sigma_px=0.0,
         covariance_kind="exact",
+        covariances={},
         stages=(),
         dropped=(),
         warnings=(),
