@@ -39,46 +39,51 @@ def chain(camera_T_ref: FloatArray, ref_T_body: FloatArray, body_T_board: FloatA
 
 
 @kernel
-def _transport(
-    moments: FloatArray, ref_T_body: FloatArray, body_T_board: FloatArray, free_body: bool, total: FloatArray
+def transport_view(
+    S: FloatArray, ref_T_body: FloatArray, body_T_board: FloatArray, free_body: bool, total: FloatArray
 ) -> None:
-    """Add up the views' moments in the tangents of the variables: camera_T_ref, ref_T_body where it is free,
-    body_T_board, theta, and the residual. Fills the upper triangle of ``total``."""
-    rest = moments.shape[1] - 6  # theta and the residual
+    """Add one view's moments S (d, d) to ``total`` in the tangents of the variables: camera_T_ref, ref_T_body where it
+    is free, body_T_board, theta, and the residual. Fills the upper triangle."""
+    rest = len(S) - 6  # theta and the residual
     n_blocks = 3 if free_body else 2
-    ref_T_board, adjoint = np.zeros((4, 4)), np.zeros((n_blocks, 6, 6))
+    ref_T_board, adjoint, product = np.zeros((4, 4)), np.zeros((n_blocks, 6, 6)), np.empty((6, 6))
     for i in range(6):
         adjoint[n_blocks - 1, i, i] = 1.0  # body_T_board moves camera_T_board directly
     if free_body:
         adjoint_of_inverse(body_T_board, adjoint[1])
-    product = np.empty((6, 6))
-    for v in range(len(moments)):
-        compose(ref_T_body[v], body_T_board, ref_T_board)
-        adjoint_of_inverse(ref_T_board, adjoint[0])
-        S = moments[v]
-        for q in range(n_blocks):
+    compose(ref_T_body, body_T_board, ref_T_board)
+    adjoint_of_inverse(ref_T_board, adjoint[0])
+    for q in range(n_blocks):
+        for i in range(6):
+            for j in range(6):
+                value = 0.0
+                for k in range(6):
+                    value += S[i, k] * adjoint[q, k, j]
+                product[i, j] = value
+        for p in range(q + 1):
             for i in range(6):
                 for j in range(6):
                     value = 0.0
                     for k in range(6):
-                        value += S[i, k] * adjoint[q, k, j]
-                    product[i, j] = value
-            for p in range(q + 1):
-                for i in range(6):
-                    for j in range(6):
-                        value = 0.0
-                        for k in range(6):
-                            value += adjoint[p, k, i] * product[k, j]
-                        total[6 * p + i, 6 * q + j] += value
-            for i in range(6):
-                for j in range(rest):
-                    value = 0.0
-                    for k in range(6):
-                        value += adjoint[q, k, i] * S[k, 6 + j]
-                    total[6 * q + i, 6 * n_blocks + j] += value
-        for i in range(rest):
-            for j in range(i, rest):
-                total[6 * n_blocks + i, 6 * n_blocks + j] += S[6 + i, 6 + j]
+                        value += adjoint[p, k, i] * product[k, j]
+                    total[6 * p + i, 6 * q + j] += value
+        for i in range(6):
+            for j in range(rest):
+                value = 0.0
+                for k in range(6):
+                    value += adjoint[q, k, i] * S[k, 6 + j]
+                total[6 * q + i, 6 * n_blocks + j] += value
+    for i in range(rest):
+        for j in range(i, rest):
+            total[6 * n_blocks + i, 6 * n_blocks + j] += S[6 + i, 6 + j]
+
+
+@kernel
+def _transport(
+    moments: FloatArray, ref_T_body: FloatArray, body_T_board: FloatArray, free_body: bool, total: FloatArray
+) -> None:
+    for v in range(len(moments)):
+        transport_view(moments[v], ref_T_body[v], body_T_board, free_body, total)
 
 
 @kernel

@@ -44,6 +44,7 @@ def calibrate(
     kernel: KernelName = "Null",
     kernel_parameter: float | None = None,
     sigma_px: float | None = None,
+    mocap_noise: Literal["estimate", "exact"] = "estimate",
     mocap_sigma_mm: float | None = None,
     mocap_sigma_deg: float | None = None,
     stages: tuple[int, ...] = (1, 2, 3),
@@ -79,9 +80,12 @@ def calibrate(
         kernel: Robust kernel of stage 3, by its name in gtsam.noiseModel.mEstimator, on each corner's whitened norm.
         kernel_parameter: Its parameter in sigmas; by default the kernel's usual one.
         sigma_px: Standard deviation of a corner's coordinate; by default estimated from the residuals.
-        mocap_sigma_mm: 1-sigma of a tracked body's position along each axis, if you know it (0.05 to 0.3 is common).
-            With the next one it adds stage 4, which models the mocap's noise: a more accurate estimate, and a
-            covariance that is true where these sigmas are.
+        mocap_noise: 'estimate': stage 4 estimates the mocap's noise from the recording and models it, for a more
+            accurate estimate and a covariance that is true; stage 3's is taken where it predicts held-out frames
+            better.
+            'exact': the mocap's poses are taken as exact, as in the paper.
+        mocap_sigma_mm: 1-sigma of a tracked body's position along each axis, if you know it (0.05 to 0.3 is common);
+            stage 4 then takes it and the next one instead of estimating them.
         mocap_sigma_deg: 1-sigma of a tracked body's orientation about each axis (0.005 to 0.05 is common).
         stages: Stages to run, of 1 (Procrustes sweep), 2 (3-D alignment), 3 (pixels).
         eps: A minimisation stops where an iteration improves the error E by less than eps (1 + E).
@@ -114,7 +118,7 @@ def calibrate(
         distortion_sigma=distortion_sigma,
         robust=_kernel(kernel, kernel_parameter),
         sigma_px=sigma_px,
-        mocap=_mocap(mocap_sigma_mm, mocap_sigma_deg),
+        mocap=_mocap(mocap_sigma_mm, mocap_sigma_deg) or mocap_noise,
         stages=stages,
         eps=eps,
         max_iterations=max_iterations,

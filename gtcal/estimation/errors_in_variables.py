@@ -1,37 +1,43 @@
 """Stage 4: the same pixels with the mocap's noise modelled, each frame's ref_T_body a variable under its prior.
 
 Stage 3 takes the mocap as exact, as the paper does. But its noise moves all corners of a frame together, in all
-cameras; freeing every A_t under a prior of the mocap's own sigmas (errors in variables) makes the estimate more
-accurate and its covariance true. The noise sits at each tracked body, world_T_body * Exp(noise); composed and
-interpolated it becomes the covariance of ref_T_body.
+cameras; freeing every A_t under a prior of the mocap's own noise (errors in variables) makes the estimate more accurate
+and its covariance true. The noise is given, or estimated from the recording (``gtcal.estimation.mocap_noise``).
+
+Systematic error is no noise: a variance estimated from it runs away. So the two estimates are compared by their
+hold-out error, and the noise model by the whiteness of what it leaves.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import gtsam
 import numpy as np
 
-from factors import CornerViews, FusedReprojectionFactor
-from factors.moments import chain
-from factors.reprojection import residuals_px
-from factors.rigid import inverse
-from gtcal.camera import FloatArray
-from gtcal.errors import GtcalError
-from gtcal.estimation.adjustment import MEDIAN_LENGTH, Adjusted, intrinsics_priors
+from factors.frames import CameraFrames, FramesReprojection
+from factors.mocap_noise import CorrelatedNoiseFactor
+from gtcal.camera import BoolArray, FloatArray
+from gtcal.estimation.adjustment import Adjusted, intrinsics_priors
 from gtcal.estimation.estimate import Estimate
+from gtcal.estimation.frame_statistics import FrameMoments, frame_moments, frames_of, in_parts
 from gtcal.estimation.graph import BODY_T_BOARD, camera_T_ref_key, minimise, theta_key, to_values, updated
-from gtcal.estimation.observations import Views
+from gtcal.estimation.hold_out import HoldOut, hold_out
+from gtcal.estimation.mocap_noise import (
+    MocapNoiseModel,
+    Whiteness,
+    estimate_noise,
+    gross_frames,
+    innovations,
+    spread_blocks,
+)
+from gtcal.estimation.observations import Dropped, Views
 from gtcal.estimation.options import CalibrationOptions, MocapSigmas
-from gtcal.estimation.residuals import chain_residuals_px, corner_views, offsets_from_view
+from gtcal.estimation.residuals import corner_views, select_views
 from gtcal.progress import Progress, silent
 from gtcal.recordings.capture import RefMotion
 from gtcal.recordings.detections import IntArray
-
-MAX_ROUNDS = 5
-"""Of solving and estimating the pixel noise anew; two or three do."""
 
 
 def ref_T_body_key(frame_index: int) -> int:
@@ -40,126 +46,185 @@ def ref_T_body_key(frame_index: int) -> int:
     return key
 
 
-def ref_T_body_covariance(motion: RefMotion, stamps_ns: IntArray, sigmas: MocapSigmas) -> FloatArray:
-    """(N, 6, 6) of xi in ref_T_body * Exp(xi) at ``stamps_ns`` (N,), rotation first, in rad and m.
-
-    ref_T_body = world_T_platform^-1 * world_T_board_body: the board body's noise acts where it is, the platform's is
-    carried over by the adjoint. Interpolation between two samples averages their noise."""
-    of_sample = np.diag(np.repeat([np.deg2rad(sigmas.rotation_deg), 1e-3 * sigmas.translation_mm], 3) ** 2)
-    total = np.zeros((len(stamps_ns), 6, 6))
-    if motion.board_body is not None:
-        total += motion.board_body.interpolated_variance(stamps_ns)[:, None, None] * of_sample
-    if motion.platform is not None:
-        adjoint = _adjoint(inverse(motion.at(stamps_ns).ref_T_body))
-        shares = motion.platform.interpolated_variance(stamps_ns)[:, None, None]
-        total += shares * (adjoint @ of_sample @ np.swapaxes(adjoint, 1, 2))
-    return total
-
-
-def _adjoint(a_T_b: FloatArray) -> FloatArray:
-    """Ad(a_T_b), (N, 6, 6)."""
-    R, (x, y, z) = a_T_b[:, :3, :3], a_T_b[:, :3, 3].T
-    zero = np.zeros_like(x)
-    skew = np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=1).reshape(-1, 3, 3)
-    adjoint = np.zeros((len(a_T_b), 6, 6))
-    adjoint[:, :3, :3] = adjoint[:, 3:, 3:] = R
-    adjoint[:, 3:, :3] = skew @ R
-    return adjoint
-
-
 @dataclass(frozen=True)
-class _Frames:
-    """The frames that the views were taken at: index (F,) as in ``Views.frame_index``, mocap pose, its covariance."""
+class MocapNoiseFit:
+    """What stage 4 takes for the noise.
 
-    index: IntArray
-    ref_T_body: FloatArray
-    covariance: FloatArray
+    hold_out: sums for the hold-out errors of stages 3 and 4. dropped: views of frames that noise does not explain."""
+
+    noise: MocapNoiseModel
+    sigma_px: float
+    hold_out: HoldOut
+    dropped: tuple[Dropped, ...]
 
 
-def _frames(views: Mapping[str, Views], motion: RefMotion, sigmas: MocapSigmas) -> _Frames:
-    index, first = np.unique(np.concatenate([v.frame_index for v in views.values()]), return_index=True)
-    stamps_ns = np.concatenate([v.stamps_ns for v in views.values()])[first]
-    ref_T_body = np.concatenate([v.ref_T_body for v in views.values()])[first]
-    return _Frames(index, ref_T_body, ref_T_body_covariance(motion, stamps_ns, sigmas))
+def fit_mocap_noise(
+    adjusted: Adjusted, motion: RefMotion, options: CalibrationOptions
+) -> tuple[Adjusted, MocapNoiseFit] | None:
+    """The noise of mocap and pixels at stage 3's estimate, and the views and corners less those of gross frames.
+
+    None where the frames are too few to estimate it from."""
+    views = adjusted.screened.views
+    information = prior_information(views, adjusted.estimate, options)
+    chosen = spread_blocks(frames_of(views))
+    sample = _moments(views, adjusted.estimate, options, options.sigma_px or 1.0, chosen)
+    sample = sample.whitened_by(options.sigma_px or max(sample.pixel_sigma_px, 1e-6))
+    if isinstance(options.mocap, MocapSigmas):
+        noise = MocapNoiseModel(dict.fromkeys(motion.trajectories, options.mocap))
+    else:
+        found = estimate_noise(sample, motion, information)
+        if found is None:
+            return None
+        noise = found
+    if options.screen:
+        adjusted, dropped = _without_gross_frames(adjusted, noise, motion, options, sample.sigma_px)
+    else:
+        dropped = ()
+    held_out = hold_out(
+        adjusted.screened.views,
+        adjusted.estimate,
+        noise,
+        motion,
+        sigma_px=sample.sigma_px,
+        free_theta=options.refine_intrinsics,
+        information=information,
+    )
+    return adjusted, MocapNoiseFit(noise, sample.sigma_px, held_out, dropped)
+
+
+def _moments(
+    views: Mapping[str, Views], estimate: Estimate, options: CalibrationOptions, sigma_px: float, frames: IntArray
+) -> FrameMoments:
+    return frame_moments(views, estimate, sigma_px=sigma_px, free_theta=options.refine_intrinsics, frames=frames)
+
+
+def _without_gross_frames(
+    adjusted: Adjusted, noise: MocapNoiseModel, motion: RefMotion, options: CalibrationOptions, sigma_px: float
+) -> tuple[Adjusted, tuple[Dropped, ...]]:
+    """The adjusted views less those of frames that the noise does not explain."""
+    views = adjusted.screened.views
+    frames = frames_of(views)
+    parts = in_parts(views, adjusted.estimate, frames, sigma_px=sigma_px, free_theta=options.refine_intrinsics)
+    gross = np.concatenate([gross_frames(part, noise.covariance(motion, part.stamps_ns)) for part in parts])
+    if not gross.any():
+        return adjusted, ()
+    bad = frames[gross]
+    keep = {name: ~np.isin(of_camera.frame_index, bad) for name, of_camera in views.items()}
+    if not all(mask.sum() >= _FEWEST_VIEWS for mask in keep.values()):
+        return adjusted, ()
+    dropped = tuple(
+        Dropped(name, _GROSS, int((~mask).sum()), _n_corners(views[name], ~mask))
+        for name, mask in keep.items()
+        if not mask.all()
+    )
+    kept = {name: select_views(views[name], np.flatnonzero(mask)) for name, mask in keep.items()}
+    screened = replace(adjusted.screened, views=kept).under(adjusted.estimate)
+    return replace(adjusted, screened=screened), dropped
+
+
+_FEWEST_VIEWS = 3
+_GROSS = "mocap pose off by more than its noise explains"
+
+
+def _n_corners(views: Views, mask: BoolArray) -> int:
+    return int(np.diff(views.view_start)[mask].sum())
 
 
 def adjust_with_mocap_noise(
-    adjusted: Adjusted, motion: RefMotion, options: CalibrationOptions, progress: Progress = silent
+    adjusted: Adjusted,
+    fit: MocapNoiseFit,
+    motion: RefMotion,
+    options: CalibrationOptions,
+    progress: Progress = silent,
 ) -> Adjusted:
-    """Go on from stage 3 with every A_t free, on the views and corners that it used.
-
-    Raises GtcalError where the options name no mocap sigmas."""
-    if options.mocap is None:
-        raise GtcalError("mocap noise can be modelled only where its sigmas are given")
+    """Go on from stage 3 with every A_t free, on the views and corners that it used."""
     views = adjusted.screened.views
-    frames = _frames(views, motion, options.mocap)
-    values = to_values(adjusted.estimate, with_theta=options.refine_intrinsics)
-    for index, pose in zip(frames.index, frames.ref_T_body, strict=True):
-        values.insert(ref_T_body_key(int(index)), gtsam.Pose3(pose))
-    estimate, sigma_px = adjusted.estimate, options.sigma_px or _scatter_px(views, adjusted.estimate)
-    errors: tuple[float, ...] = ()
-    for done in range(MAX_ROUNDS):
-        progress("stage 4: mocap noise", done, MAX_ROUNDS)
-        graph = _graph(views, estimate, frames, sigma_px, options)
-        found = minimise(graph, values, eps=options.eps, max_iterations=options.max_iterations)
-        values, estimate = found.values, updated(estimate, found.values)
-        errors += found.errors[1:] if errors else found.errors
-        before, sigma_px = sigma_px, options.sigma_px or _sigma_px(views, estimate, values, len(frames.index))
-        if abs(sigma_px - before) < 0.02 * before:
-            break
-    progress("stage 4: mocap noise", MAX_ROUNDS, MAX_ROUNDS)
-    graph = _graph(views, estimate, frames, sigma_px, options)
-    return Adjusted(estimate, sigma_px, adjusted.screened.under(estimate), graph, values, errors)
+    progress("stage 4: mocap noise", 0, 1)
+    graph, values = _problem(adjusted, fit, motion, options)
+    found = minimise(graph, values, eps=options.eps, max_iterations=options.max_iterations)
+    estimate = updated(adjusted.estimate, found.values)
+    progress("stage 4: mocap noise", 1, 1)
+    screened = replace(adjusted.screened, views=views).under(estimate)
+    return Adjusted(estimate, fit.sigma_px, screened, graph, found.values, found.errors)
 
 
-def _graph(
-    views: Mapping[str, Views], estimate: Estimate, frames: _Frames, sigma_px: float, options: CalibrationOptions
-) -> gtsam.NonlinearFactorGraph:
-    """A factor per view, and a prior per frame."""
+def whiteness(freed: Adjusted, fit: MocapNoiseFit, motion: RefMotion, options: CalibrationOptions) -> Whiteness:
+    """Whether the noise model explains the frames, at stage 4's estimate."""
+    views = freed.screened.views
+    chosen = spread_blocks(frames_of(views))
+    return Whiteness.of(innovations(_moments(views, freed.estimate, options, fit.sigma_px, chosen), fit.noise, motion))
+
+
+def _problem(
+    adjusted: Adjusted, fit: MocapNoiseFit, motion: RefMotion, options: CalibrationOptions
+) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
+    """A factor and a prior per frame; the values of stage 3, every A_t as the mocap has it."""
+    views, estimate = adjusted.screened.views, adjusted.estimate
+    frames = frames_of(views)
+    first = {int(frame): (name, row) for name, v in views.items() for row, frame in enumerate(v.frame_index)}
+    where = [first[int(frame)] for frame in frames]
+    stamps_ns = np.array([views[name].stamps_ns[row] for name, row in where])
+    measured = np.stack([views[name].ref_T_body[row] for name, row in where])
+    keys = [ref_T_body_key(int(frame)) for frame in frames]
+    values = to_values(estimate, with_theta=options.refine_intrinsics)
+    for key, pose in zip(keys, measured, strict=True):
+        values.insert(key, gtsam.Pose3(pose))
     graph = gtsam.NonlinearFactorGraph()
-    free_theta = options.refine_intrinsics
-    for index, (name, of_camera) in enumerate(views.items()):
-        theta = theta_key(index) if free_theta else estimate.theta[name]
-        for view, frame in enumerate(of_camera.frame_index):
+    cameras = [
+        CameraFrames(
+            corner_views(of_camera, fit.sigma_px),
+            np.searchsorted(frames, of_camera.frame_index),
+            of_camera.camera.model,
+            camera_T_ref_key(index),
+            theta_key(index) if options.refine_intrinsics else estimate.theta[name],
+        )
+        for index, (name, of_camera) in enumerate(views.items())
+    ]
+    reprojection = FramesReprojection(cameras, ref_T_body=keys, body_T_board=BODY_T_BOARD, robust=options.robust)
+    for factor in reprojection.factors:
+        graph.add(factor)
+    _add_mocap(graph, keys, measured, fit.noise.covariance(motion, stamps_ns), fit.noise.correlations(stamps_ns))
+    graph.push_back(_priors(views, options))
+    return graph, values
+
+
+def _add_mocap(
+    graph: gtsam.NonlinearFactorGraph, keys: list[int], measured: FloatArray, covariance: FloatArray, rho: FloatArray
+) -> None:
+    """Each A_t near the mocap's pose; the noise of neighbours alike where it is correlated."""
+    whitening = np.linalg.inv(np.linalg.cholesky(covariance))
+    for f, key in enumerate(keys):
+        if f == 0 or rho[f - 1] == 0.0:
+            noise = gtsam.noiseModel.Gaussian.Covariance(covariance[f])
+            graph.add(gtsam.PriorFactorPose3(key, gtsam.Pose3(measured[f]), noise))
+        else:
+            pair = slice(f - 1, f + 1)
             graph.add(
-                FusedReprojectionFactor(
-                    camera_T_ref_key(index),
-                    BODY_T_BOARD,
-                    views=_one_view(of_camera, view, sigma_px),
-                    model=of_camera.camera.model,
-                    ref_T_body=ref_T_body_key(int(frame)),
-                    theta=theta,
-                    robust=options.robust,
-                )
+                CorrelatedNoiseFactor((keys[f - 1], key), tuple(measured[pair]), tuple(whitening[pair]), rho[f - 1])
             )
-        if free_theta:
-            graph.add(intrinsics_priors(views, options)[name].factor(theta_key(index), of_camera.camera))
-    for frame, pose, covariance in zip(frames.index, frames.ref_T_body, frames.covariance, strict=True):
-        noise = gtsam.noiseModel.Gaussian.Covariance(covariance)
-        graph.add(gtsam.PriorFactorPose3(ref_T_body_key(int(frame)), gtsam.Pose3(pose), noise))
+
+
+def _priors(views: Mapping[str, Views], options: CalibrationOptions) -> gtsam.NonlinearFactorGraph:
+    graph = gtsam.NonlinearFactorGraph()
+    if options.refine_intrinsics:
+        for index, (name, prior) in enumerate(intrinsics_priors(views, options).items()):
+            graph.add(prior.factor(theta_key(index), views[name].camera))
     return graph
 
 
-def _one_view(views: Views, index: int, sigma_px: float) -> CornerViews:
-    rows = slice(views.view_start[index], views.view_start[index + 1])
-    start = np.array([0, rows.stop - rows.start], dtype=np.int64)
-    return CornerViews(start, views.corners_m[rows], views.corners_px[rows], sigma_px)
-
-
-def _scatter_px(views: Mapping[str, Views], estimate: Estimate) -> float:
-    """A first guess of the pixel noise: the scatter of corners round the median residual of their view, which mocap
-    noise moves as a whole."""
-    lengths = [offsets_from_view(of_camera, chain_residuals_px(of_camera, estimate)) for of_camera in views.values()]
-    return max(float(np.median(np.concatenate(lengths))) / MEDIAN_LENGTH, 1e-6)
-
-
-def _sigma_px(views: Mapping[str, Views], estimate: Estimate, values: gtsam.Values, n_frames: int) -> float:
-    """Pixel noise by the mean square of the residuals at the free A_t, six degrees of freedom spent on each frame."""
-    squares, n_coordinates = 0.0, 0
-    for name, of_camera in views.items():
-        ref_T_body = np.stack([values.atPose3(ref_T_body_key(int(f))).matrix() for f in of_camera.frame_index])
-        camera_T_board = chain(estimate.camera_T_ref[name], ref_T_body, estimate.body_T_board)
-        found = residuals_px(corner_views(of_camera), camera_T_board, of_camera.camera.model, estimate.theta[name])
-        squares += float(np.nansum(found**2))
-        n_coordinates += found.size
-    return max(float(np.sqrt(squares / max(n_coordinates - 6 * n_frames, 1))), 1e-6)
+def prior_information(views: Mapping[str, Views], estimate: Estimate, options: CalibrationOptions) -> FloatArray:
+    """(P + 1, P + 1) [J r]^T [J r] of the priors at the estimate; columns X, Y_c, theta_c, and the residual."""
+    values = to_values(estimate, with_theta=options.refine_intrinsics)
+    priors = _priors(views, options)
+    linear = priors.linearize(values)
+    cameras = range(len(views))
+    keys = [BODY_T_BOARD, *map(camera_T_ref_key, cameras)]
+    keys += [theta_key(index) for index in cameras if options.refine_intrinsics]
+    ordering = gtsam.Ordering()
+    for key in keys:
+        ordering.push_back(key)
+        size = values.atVector(key).size if gtsam.symbolChr(key) == ord("k") else 6
+        linear.add(gtsam.JacobianFactor(key, np.zeros((1, size)), np.zeros(1), gtsam.noiseModel.Unit.Create(1)))
+    hessian, descent = linear.hessian(ordering)
+    square = np.array([[2.0 * priors.error(values)]])
+    return np.block([[hessian, -descent[:, None]], [-descent[None], square]])

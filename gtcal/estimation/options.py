@@ -15,7 +15,7 @@ for in stage 3, jointly with the extrinsics."""
 
 @dataclass(frozen=True)
 class MocapSigmas:
-    """How precisely the mocap measures one tracked body: 1-sigma of each component of world_T_body * Exp(noise), along
+    """How precisely the mocap measures a tracked body: 1-sigma of each component of world_T_body * Exp(noise), along
     and about the body's axes.
 
     Raises GtcalError where a sigma is not positive."""
@@ -38,7 +38,8 @@ class CalibrationOptions:
         ``focal_sigma_px``, ``centre_sigma_px`` and ``distortion_sigma``.
     robust: kernel of stage 3, on the whitened norm of each corner.
     sigma_px: standard deviation of a pixel coordinate; None to estimate it from the residuals.
-    mocap: how precisely the mocap measures; stage 4 then models its noise. None: the mocap is taken as exact.
+    mocap: what stage 4 takes for the mocap's noise: 'estimate' it from the recording, or the sigmas that are given;
+        'exact': no stage 4, the mocap's poses are taken as exact.
     stages: those to run, of 1 (Procrustes sweep), 2 (3-D alignment), 3 (pixels).
     eps: a minimisation stops where an iteration improves the error E by less than eps (1 + E).
     screen: leave gross views and corners out.
@@ -55,7 +56,7 @@ class CalibrationOptions:
     distortion_sigma: float = 0.01
     robust: RobustKernel = field(default=GAUSSIAN)
     sigma_px: float | None = None
-    mocap: MocapSigmas | None = None
+    mocap: MocapSigmas | Literal["estimate", "exact"] = "estimate"
     stages: tuple[int, ...] = (1, 2, 3)
     eps: float = 1e-4
     max_iterations: int = 100
@@ -69,7 +70,7 @@ class CalibrationOptions:
             raise GtcalError(f"stages: {self.stages} is not a choice of 1, 2 and 3 in their order")
         if self.refine_intrinsics and 3 not in self.stages:
             raise GtcalError("intrinsics are refined in stage 3, but stages leave it out")
-        if self.mocap is not None and 3 not in self.stages:
+        if isinstance(self.mocap, MocapSigmas) and 3 not in self.stages:
             raise GtcalError("mocap noise is modelled from where stage 3 ends, but stages leave it out")
         for name in ("eps", "focal_sigma_px", "centre_sigma_px", "distortion_sigma"):
             if not getattr(self, name) > 0.0:

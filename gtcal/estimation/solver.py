@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from gtcal.errors import GtcalError
 from gtcal.estimation.adjustment import Adjusted, adjust, joint_covariance, not_adjusted
 from gtcal.estimation.alignment import GuideViews, fitting_views, stage_1, stage_2, without_stage_1
-from gtcal.estimation.errors_in_variables import adjust_with_mocap_noise
+from gtcal.estimation.choice import choose
+from gtcal.estimation.clustered import clustered
+from gtcal.estimation.errors_in_variables import adjust_with_mocap_noise, fit_mocap_noise, whiteness
 from gtcal.estimation.estimate import Estimate
 from gtcal.estimation.motion import check_turning, turning
-from gtcal.estimation.observations import Observations, Views
+from gtcal.estimation.observations import Dropped, Observations, Views
 from gtcal.estimation.options import CalibrationOptions
 from gtcal.estimation.pnp import solve_pnp
 from gtcal.estimation.residuals import chain_residuals_px, median_by_view, norms
@@ -23,12 +25,13 @@ from gtcal.progress import Progress, silent
 from gtcal.results.calibration import (
     Calibration,
     CameraCalibration,
+    MocapNoise,
     PoseEstimate,
     ResidualStatistics,
     Solution,
     StageReport,
 )
-from gtcal.results.covariance import ERRORS_IN_VARIABLES, NAIVE, JointCovariance
+from gtcal.results.covariance import CLUSTERED, ERRORS_IN_VARIABLES, NAIVE, JointCovariance
 from gtcal.results.provenance import provenance
 
 DISAGREEMENT_RAD = np.deg2rad(3.0)
@@ -76,9 +79,14 @@ def calibrate_observations(
     _check_enough(views, options)
     _motion_warnings(views, options)
     estimate, reports = _align(views, options, progress)
-    adjusted, later = _adjust(observations, estimate, options, progress)
-    kind = NAIVE if options.mocap is None else ERRORS_IN_VARIABLES
-    sigmas = joint_covariance(adjusted, kind) if 3 in options.stages else None
+    adjusted, later = _stage_3(views, estimate, options, progress)
+    found = (
+        _Found(adjusted, {}, {}, None, ())
+        if 3 not in options.stages
+        else _with_mocap_noise(adjusted, observations, options, progress)
+    )
+    adjusted, sigmas = found.adjusted, found.covariances.get(found.kind)
+    later += found.reports
     final = adjusted.estimate
     return Calibration(
         capture=observations.capture,
@@ -86,10 +94,12 @@ def calibrate_observations(
         body_T_board=PoseEstimate(final.body_T_board, sigmas.body_T_board if sigmas else None),
         board=observations.board.to_manifest(),
         sigma_px=adjusted.sigma_px,
-        covariance_kind=kind,
-        covariances={kind: sigmas} if sigmas else {},
+        covariance_kind=found.kind,
+        covariances=found.covariances,
+        estimates=found.estimates,
+        mocap_noise=found.noise,
         stages=(*earlier, *reports, *later),
-        dropped=observations.dropped + adjusted.screened.dropped(views),
+        dropped=observations.dropped + found.dropped,
         warnings=(*_warnings(adjusted, sigmas, options), *_fit_warnings((*reports, *later))),
         provenance=provenance(options, inputs, time.perf_counter() - started),
         solution=Solution(adjusted.graph, adjusted.values, final, adjusted.screened.views),
@@ -192,23 +202,59 @@ def _align(
     return estimate, reports
 
 
-def _adjust(
-    observations: Observations, estimate: Estimate, options: CalibrationOptions, progress: Progress
-) -> tuple[Adjusted, list[StageReport]]:
-    """Stages 3 and 4, where the options want them."""
-    views = observations.views
+def _stage_3(
+    views: Mapping[str, Views], estimate: Estimate, options: CalibrationOptions, progress: Progress
+) -> tuple[Adjusted, tuple[StageReport, ...]]:
     if 3 not in options.stages:
-        return not_adjusted(views, estimate, options), []
+        return not_adjusted(views, estimate, options), ()
     started = time.perf_counter()
     adjusted = adjust(views, estimate, options, progress)
     report = _report(3, "pixels", started, adjusted.errors, "px^2/2")
-    reports = [replace(report, median_px=_median_px(views, adjusted.estimate))]
-    if options.mocap is None:
-        return adjusted, reports
+    return adjusted, (replace(report, median_px=_median_px(views, adjusted.estimate)),)
+
+
+@dataclass(frozen=True)
+class _Found:
+    """The estimate that was taken, what it was chosen from, and what was left out for it."""
+
+    adjusted: Adjusted
+    estimates: dict[int, Estimate]
+    covariances: dict[str, JointCovariance]
+    noise: MocapNoise | None
+    dropped: tuple[Dropped, ...]
+    reports: tuple[StageReport, ...] = ()
+
+    @property
+    def kind(self) -> str:
+        """Of the covariance that the estimate carries."""
+        if self.noise is not None and self.noise.stage == 4:
+            return ERRORS_IN_VARIABLES
+        return CLUSTERED if CLUSTERED in self.covariances else NAIVE
+
+
+def _with_mocap_noise(
+    adjusted: Adjusted, observations: Observations, options: CalibrationOptions, progress: Progress
+) -> _Found:
+    """Stage 3's covariances; and stage 4 with its own, where it can be run, if it earns its place."""
+    views, motion = observations.views, observations.motion
+    dropped = adjusted.screened.dropped(views)
+    covariances = {NAIVE: joint_covariance(adjusted, NAIVE)}
     started = time.perf_counter()
-    adjusted = adjust_with_mocap_noise(adjusted, observations.motion, options, progress)
-    report = _report(4, "mocap noise", started, adjusted.errors, "whitened")
-    return adjusted, [*reports, replace(report, median_px=_median_px(views, adjusted.estimate))]
+    fit = None if options.mocap == "exact" else fit_mocap_noise(adjusted, motion, options)
+    correlation_s = fit[1].noise.correlation_s if fit else 0.0
+    covariances |= clustered(adjusted, options, correlation_s, sizes=covariances[NAIVE].theta_sizes)
+    if fit is None:
+        return _Found(adjusted, {3: adjusted.estimate}, covariances, None, dropped)
+    screened, noise = fit
+    freed = adjust_with_mocap_noise(screened, noise, motion, options, progress)
+    covariances[ERRORS_IN_VARIABLES] = joint_covariance(freed, ERRORS_IN_VARIABLES)
+    report = _report(4, "mocap noise", started, freed.errors, "whitened")
+    report = replace(report, median_px=_median_px(views, freed.estimate))
+    chosen = choose(noise, whiteness(freed, noise, motion, options))
+    estimates = {3: adjusted.estimate, 4: freed.estimate}
+    if chosen.stage == 3:
+        return _Found(adjusted, estimates, covariances, chosen, dropped, (report,))
+    return _Found(freed, estimates, covariances, chosen, dropped + noise.dropped, (report,))
 
 
 def _guides(views: Mapping[str, Views], options: CalibrationOptions, progress: Progress) -> dict[str, GuideViews]:

@@ -104,11 +104,16 @@ class Trajectory:
         poses[gaps != Gap.NONE] = np.nan
         return PosesAt(poses, gaps)
 
-    def interpolated_variance(self, stamps_ns: IntArray) -> FloatArray:
-        """Noise variance (N,) of an interpolated pose as a share of one sample's, for independent samples: 1 at a
-        sample, 1/2 midway."""
-        _, fraction = self._locate(stamps_ns)
-        return (1.0 - fraction) ** 2 + fraction**2
+    def interpolated_variance(self, stamps_ns: IntArray, correlation_s: float = 0.0) -> FloatArray:
+        """Noise variance (N,) of an interpolated pose as a share of one sample's: for independent samples 1 at a
+        sample and 1/2 midway; less is averaged out of noise that is correlated over ``correlation_s`` (to 1/e)."""
+        segment, fraction = self._locate(stamps_ns)
+        apart = 2.0 * fraction * (1.0 - fraction)
+        if correlation_s == 0.0 or self.n_samples < 2:
+            return 1.0 - apart
+        segment = np.minimum(segment, self.n_samples - 2)
+        interval_s = 1e-9 * (self.stamps_ns[segment + 1] - self.stamps_ns[segment])
+        return 1.0 - apart * (1.0 - np.exp(-interval_s / correlation_s))
 
     def twist_per_s(self, stamps_ns: IntArray) -> FloatArray:
         """The body's velocity (N, 6) at ``stamps_ns`` (N,), the time derivative of ``interpolate``:

@@ -112,6 +112,31 @@ class CameraCalibration:
 
 
 @dataclass(frozen=True)
+class MocapNoise:
+    """What the mocap's noise was taken to be, and whether modelling it (stage 4) earned its place.
+
+    translation_sigma_mm, rotation_sigma_deg: 1-sigma along and about each axis, by tracked body. correlation_s: time
+        over which the noise is correlated. jitter_s: 1-sigma of the mocap's time stamps.
+    estimated: from the recording, else given.
+    innovation_variance: of what the model does not foresee, whitened; 1 where the sigmas are right. lag_1: its
+        correlation from frame to frame, 0 where nothing systematic is left; lag_1_sigma: of chance.
+    hold_out_px: by stage, 3 and 4: RMSE of blocks of time that the estimate has not seen.
+    stage: whose estimate was taken. reason: why, in words."""
+
+    translation_sigma_mm: dict[str, float]
+    rotation_sigma_deg: dict[str, float]
+    correlation_s: float
+    jitter_s: float
+    estimated: bool
+    innovation_variance: float
+    lag_1: float
+    lag_1_sigma: float
+    hold_out_px: dict[int, float]
+    stage: int
+    reason: str
+
+
+@dataclass(frozen=True)
 class StageReport:
     """One stage of the solution.
 
@@ -162,6 +187,8 @@ class Calibration:
     covariances: of X, every Y_c and every theta_c together, by kind (``gtcal.results.covariance``); none without
         stage 3.
     covariance_kind: which of them the estimates carry.
+    estimates: by stage, 3 and 4, as far as they were run; the cameras and body_T_board are those of one of them.
+    mocap_noise: None where it was not modelled.
     warnings: what the operator should know, a line each.
     solution: None where the calibration was read from a file."""
 
@@ -172,6 +199,8 @@ class Calibration:
     sigma_px: float
     covariance_kind: str
     covariances: dict[str, JointCovariance]
+    estimates: dict[int, Estimate]
+    mocap_noise: MocapNoise | None
     stages: tuple[StageReport, ...]
     dropped: tuple[Dropped, ...]
     warnings: tuple[str, ...]

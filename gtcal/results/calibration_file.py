@@ -16,6 +16,7 @@ import numpy as np
 
 from factors import CAMERA_MODELS
 from gtcal.camera import Camera, FloatArray
+from gtcal.estimation.estimate import Estimate
 from gtcal.estimation.observations import Dropped
 from gtcal.files import InputFile, write_text
 from gtcal.recordings.capture import Capture
@@ -23,6 +24,7 @@ from gtcal.recordings.trajectory import quaternions_from_poses
 from gtcal.results.calibration import (
     Calibration,
     CameraCalibration,
+    MocapNoise,
     PoseEstimate,
     Provenance,
     ResidualStatistics,
@@ -68,6 +70,8 @@ def _document(calibration: Calibration) -> dict[str, Any]:
         "cameras": {name: _camera_document(camera) for name, camera in calibration.cameras.items()},
         "body_T_board": _board_document(calibration.body_T_board),
         "covariances": {kind: _covariance_document(joint) for kind, joint in calibration.covariances.items()},
+        "estimates": {str(stage): _estimate_document(found) for stage, found in calibration.estimates.items()},
+        "mocap_noise": _mocap_noise_document(calibration.mocap_noise),
         "stages": [_without_nan(asdict(stage)) for stage in calibration.stages],
         "dropped": [asdict(dropped) for dropped in calibration.dropped],
         "provenance": _provenance_document(calibration.provenance),
@@ -119,6 +123,20 @@ def _covariance_document(joint: JointCovariance) -> dict[str, Any]:
     return {"theta_sizes": joint.theta_sizes, "matrix": joint.matrix.tolist()}
 
 
+def _estimate_document(estimate: Estimate) -> dict[str, Any]:
+    cameras = {
+        name: {"camera_T_ref": pose.tolist(), "theta": estimate.theta[name].tolist()}
+        for name, pose in estimate.camera_T_ref.items()
+    }
+    return {"body_T_board": estimate.body_T_board.tolist(), "cameras": cameras}
+
+
+def _mocap_noise_document(noise: MocapNoise | None) -> dict[str, Any] | None:
+    if noise is None:
+        return None
+    return asdict(noise) | {"hold_out_px": {str(stage): rmse for stage, rmse in noise.hold_out_px.items()}}
+
+
 def _list(array: FloatArray | None) -> list[Any] | None:
     return None if array is None else array.tolist()
 
@@ -137,6 +155,8 @@ def _calibration(document: Mapping[str, Any]) -> Calibration:
         sigma_px=float(document["sigma_px"]),
         covariance_kind=document["covariance_kind"],
         covariances={kind: _joint_covariance(kind, block) for kind, block in document["covariances"].items()},
+        estimates={int(stage): _estimate(block) for stage, block in document["estimates"].items()},
+        mocap_noise=_mocap_noise(document["mocap_noise"]),
         stages=tuple(_stage(block) for block in document["stages"]),
         dropped=tuple(_made(Dropped, block) for block in document["dropped"]),
         warnings=tuple(document["warnings"]),
@@ -162,6 +182,22 @@ def _pose(block: Mapping[str, Any]) -> PoseEstimate:
     if matrix is None:
         raise ValueError("matrix is null")
     return PoseEstimate(matrix, _array(block["covariance"], (6, 6)))
+
+
+def _estimate(block: Mapping[str, Any]) -> Estimate:
+    cameras = block["cameras"]
+    return Estimate(
+        np.array(block["body_T_board"], dtype=np.float64),
+        {name: np.array(camera["camera_T_ref"], dtype=np.float64) for name, camera in cameras.items()},
+        {name: np.array(camera["theta"], dtype=np.float64) for name, camera in cameras.items()},
+    )
+
+
+def _mocap_noise(block: Mapping[str, Any] | None) -> MocapNoise | None:
+    if block is None:
+        return None
+    hold_out_px = {int(stage): float(rmse) for stage, rmse in block["hold_out_px"].items()}
+    return _made(MocapNoise, {**block, "hold_out_px": hold_out_px})
 
 
 def _joint_covariance(kind: str, block: Mapping[str, Any]) -> JointCovariance:

@@ -218,6 +218,8 @@ def exact_calibration(
         sigma_px=0.0,
         covariance_kind="exact",
         covariances={},
+        estimates={},
+        mocap_noise=None,
         stages=(),
         dropped=(),
         warnings=(),

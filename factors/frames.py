@@ -1,0 +1,209 @@
+"""The reprojection error of whole frames: one factor for all the corners that all cameras see at one moment.
+
+    residual = pi(camera_T_ref * ref_T_body * body_T_board * corner; theta) - pixel,    ref_T_body = A_f a variable
+
+A frame's factor has the error, gradient and Hessian of all its corners. The frames of a recording are summed together,
+on all cores, the first time that GTSAM asks one of them at new values; the others then find their sums ready.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import gtsam
+import numpy as np
+
+from factors.camera_models import CameraModel
+from factors.kernel import kernel
+from factors.moments import chain, transport_view, triangular_factor
+from factors.reprojection import CornerViews, FloatArray, IntArray, Jacobians, view_moments
+from factors.rigid import pose_at
+from factors.robust import GAUSSIAN, RobustKernel
+
+
+@dataclass(frozen=True)
+class CameraFrames:
+    """What one camera saw, and in which frames.
+
+    views: V views. frame: (V,) the frame of each, increasing, one view a frame.
+    camera_T_ref: key of Y_c. theta: (K,) fixed intrinsics, or the key of a vector variable.
+
+    Raises ValueError where the shapes do not fit."""
+
+    views: CornerViews
+    frame: IntArray
+    model: CameraModel
+    camera_T_ref: int
+    theta: int | FloatArray
+
+    def __post_init__(self) -> None:
+        if self.frame.shape != (self.views.n_views,) or (np.diff(self.frame) <= 0).any():
+            raise ValueError(f"{self.frame.shape=}, expected ({self.views.n_views},) increasing frame numbers")
+
+    @property
+    def n_theta(self) -> int:
+        """How many intrinsics are variables."""
+        return self.model.n_parameters if isinstance(self.theta, int) else 0
+
+
+@kernel
+def _frame_triangle(
+    by_view: FloatArray,
+    ref_T_body: FloatArray,
+    body_T_board: FloatArray,
+    first_column: IntArray,
+    n_theta: IntArray,
+    n_columns: int,
+) -> FloatArray:
+    """Triangular factor of the summed moments (v, d, d) of a frame's views, in the tangents of A_f, X, the Y_c and
+    theta_c of the views' cameras, and the residual. View i's Y_c starts at ``first_column[i]``, its theta behind it."""
+    total = np.zeros((n_columns, n_columns))
+    for i in range(len(by_view)):
+        k = n_theta[i]
+        local = np.zeros((19 + k, 19 + k))
+        transport_view(by_view[i, : 7 + k, : 7 + k], ref_T_body, body_T_board, True, local)
+        column = np.empty(19 + k, dtype=np.int64)
+        for j in range(6):
+            column[j], column[6 + j], column[12 + j] = first_column[i] + j, j, 6 + j
+        for j in range(k):
+            column[18 + j] = first_column[i] + 6 + j
+        column[18 + k] = n_columns - 1
+        for a in range(19 + k):
+            for b in range(a, 19 + k):
+                p, q = column[a], column[b]
+                if p > q:
+                    p, q = q, p
+                total[p, q] += local[a, b]
+    return triangular_factor(total)
+
+
+@dataclass
+class _Sums:
+    """The moments of all views at one set of values."""
+
+    at: dict[int, FloatArray] = field(default_factory=dict)
+    by_view: list[FloatArray] = field(default_factory=list)
+    loss: FloatArray = field(default_factory=lambda: np.zeros(0))
+    with_moments: bool = False
+
+    def of_views(self, views: list[tuple[int, int]]) -> FloatArray:
+        """(v, d, d) moments of these views, those of smaller ones in the upper left."""
+        found = [self.by_view[c][view] for c, view in views]
+        size = max(len(moments) for moments in found)
+        if all(len(moments) == size for moments in found):
+            return np.stack(found)
+        padded = np.zeros((len(found), size, size))
+        for into, moments in zip(padded, found, strict=True):
+            into[: len(moments), : len(moments)] = moments
+        return padded
+
+
+class FramesReprojection:
+    """The frames of a recording and their factors, ``self.factors``; they share their sums.
+
+    ref_T_body: (F,) keys of the Pose3 variables A_f. body_T_board: key of X.
+    Keys of a factor in order: A_f, X, then for each camera that sees the frame Y_c and, where it is free, theta_c.
+
+    Raises ValueError where a frame is seen by no camera or a frame number has no key."""
+
+    def __init__(
+        self,
+        cameras: Sequence[CameraFrames],
+        *,
+        ref_T_body: Sequence[int],
+        body_T_board: int,
+        robust: RobustKernel = GAUSSIAN,
+    ) -> None:
+        self.cameras = tuple(cameras)
+        self.ref_T_body = tuple(ref_T_body)
+        self.body_T_board = body_T_board
+        self.robust = robust
+        self._theta = {camera.theta for camera in self.cameras if isinstance(camera.theta, int)}
+        self._sums = _Sums()
+        seen: list[list[tuple[int, int]]] = [[] for _ in self.ref_T_body]
+        for c, camera in enumerate(self.cameras):
+            if len(camera.frame) and not 0 <= camera.frame[0] <= camera.frame[-1] < len(seen):
+                raise ValueError(f"frame numbers {camera.frame[0]} to {camera.frame[-1]} for {len(seen)} frames")
+            for view, frame in enumerate(camera.frame):
+                seen[frame].append((c, view))
+        if not all(seen):
+            raise ValueError(f"frame {seen.index([])} is seen by no camera")
+        self.factors = [FrameReprojectionFactor(self, frame, views) for frame, views in enumerate(seen)]
+
+    def sums_at(self, values: gtsam.Values, keys: Sequence[int], *, with_moments: bool) -> _Sums:
+        """The sums at ``values``, made anew unless they stand for the same ``keys``' values."""
+        sums = self._sums
+        if (with_moments and not sums.with_moments) or not all(
+            key in sums.at and np.array_equal(self._value(values, key), sums.at[key]) for key in keys
+        ):
+            self._sums = sums = self._summed(values, with_moments)
+        return sums
+
+    def _value(self, values: gtsam.Values, key: int) -> FloatArray:
+        return values.atVector(key) if key in self._theta else pose_at(values, key)
+
+    def _summed(self, values: gtsam.Values, with_moments: bool) -> _Sums:
+        keys = (*self.ref_T_body, self.body_T_board, *(camera.camera_T_ref for camera in self.cameras), *self._theta)
+        at = {key: self._value(values, key) for key in keys}
+        ref_T_body = np.stack([at[key] for key in self.ref_T_body])
+        by_view, loss = [], np.zeros(len(self.ref_T_body))
+        for camera in self.cameras:
+            found = view_moments(
+                camera.views,
+                chain(at[camera.camera_T_ref], ref_T_body[camera.frame], at[self.body_T_board]),
+                camera.model,
+                at[camera.theta] if isinstance(camera.theta, int) else camera.theta,
+                robust=self.robust,
+                with_theta=camera.n_theta > 0,
+                with_moments=with_moments,
+            )
+            by_view.append(found.moments)
+            loss += np.bincount(camera.frame, found.loss, minlength=len(loss))
+        return _Sums(at, by_view, loss, with_moments)
+
+
+class _FrameResidual:
+    """The callback of one frame's factor. views: (camera, its view) of each view of the frame."""
+
+    def __init__(self, frames: FramesReprojection, frame: int, views: list[tuple[int, int]]) -> None:
+        cameras = [frames.cameras[c] for c, _ in views]
+        sizes = np.array([6 + camera.n_theta for camera in cameras])
+        self._frames, self._frame, self._views = frames, frame, views
+        self._first_column = 12 + np.cumsum(sizes) - sizes
+        self._n_theta = sizes - 6
+        self._n_columns = int(13 + sizes.sum())
+        self.keys = [frames.ref_T_body[frame], frames.body_T_board]
+        for camera in cameras:
+            self.keys += [camera.camera_T_ref, *([camera.theta] if isinstance(camera.theta, int) else [])]
+        blocks = [6, 6, *(size for n in self._n_theta for size in ((6, int(n)) if n else (6,)))]
+        edges = np.concatenate([[0], np.cumsum(blocks)])
+        self._blocks = list(itertools.pairwise(edges.tolist()))
+
+    def __call__(self, factor: gtsam.CustomFactor, values: gtsam.Values, jacobians: Jacobians) -> FloatArray:
+        sums = self._frames.sums_at(values, self.keys, with_moments=jacobians is not None)
+        if jacobians is None:
+            return np.array([math.sqrt(2.0 * sums.loss[self._frame])])
+        triangle = _frame_triangle(
+            sums.of_views(self._views),
+            sums.at[self.keys[0]],
+            sums.at[self.keys[1]],
+            self._first_column,
+            self._n_theta,
+            self._n_columns,
+        )
+        for i, (start, end) in enumerate(self._blocks):
+            jacobians[i] = np.asfortranarray(triangle[:, start:end])
+        return triangle[:, -1]
+
+
+class FrameReprojectionFactor(gtsam.CustomFactor):
+    """All the corners of one frame; made by ``FramesReprojection``, which tells the keys. The Jacobian handed to GTSAM
+    is the triangular factor of the corners' whitened [J r]; a value-only call returns one entry, the root of twice the
+    summed loss."""
+
+    def __init__(self, frames: FramesReprojection, frame: int, views: list[tuple[int, int]]) -> None:
+        residual = _FrameResidual(frames, frame, views)
+        super().__init__(None, residual.keys, residual)  # type: ignore[call-overload]

@@ -1,0 +1,85 @@
+"""The frame-clustered covariance of stage 3: a sandwich, H^-1 (sum g g^T) H^-1, over frames rather than corners.
+
+What moves all the corners of a frame together (the mocap's noise, above all) makes their residuals alike. The gradients
+g of whole frames scatter by it as they do, and no model of it is needed. Where noise is correlated in time, frames that
+share it make one cluster. Few clusters fit their own estimate too well; the correction is CR2 of Bell and McCaffrey
+(2002), g -> (I - H_g H^-1)^-1/2 g, or for many clusters the factor G / (G - 1).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from gtcal.camera import FloatArray
+from gtcal.estimation.adjustment import Adjusted
+from gtcal.estimation.errors_in_variables import prior_information
+from gtcal.estimation.frame_statistics import FrameMoments, frames_of, in_parts
+from gtcal.estimation.options import CalibrationOptions
+from gtcal.recordings.detections import IntArray
+from gtcal.results.covariance import CLUSTERED, JointCovariance
+
+MOST_CORRECTED = 300
+"""Clusters up to which each is corrected by its own leverage; beyond, that no longer matters."""
+
+_CORRELATION_TIMES = 3.0
+_LARGEST_LEVERAGE = 0.99
+
+
+def clustered(
+    adjusted: Adjusted, options: CalibrationOptions, correlation_s: float, *, sizes: dict[str, int]
+) -> dict[str, JointCovariance]:
+    """The covariance of stage 3's estimate, by its kind; none where the clusters are fewer than the unknowns need.
+
+    sizes: by camera, the number of its intrinsics that were solved for."""
+    views, estimate = adjusted.screened.views, adjusted.estimate
+    frames = frames_of(views)
+    information = prior_information(views, estimate, options)
+    parts = in_parts(views, estimate, frames, sigma_px=adjusted.sigma_px, free_theta=options.refine_intrinsics)
+    matrix = clustered_covariance(parts, information, correlation_s)
+    return {CLUSTERED: JointCovariance(CLUSTERED, sizes, matrix)}
+
+
+def clusters(stamps_ns: IntArray, correlation_s: float) -> IntArray:
+    """(n,) the cluster of each frame: spans of three correlation times, or single frames where those are shorter."""
+    if correlation_s <= 0.0:
+        return np.arange(len(stamps_ns))
+    span = np.floor(1e-9 * (stamps_ns - stamps_ns[0]) / (_CORRELATION_TIMES * correlation_s))
+    return np.unique(span, return_inverse=True)[1]
+
+
+def clustered_covariance(parts: Iterable[FrameMoments], information: FloatArray, correlation_s: float) -> FloatArray:
+    """(P, P) covariance of stage 3's estimate, from the moments of all frames there, in parts one after the other.
+    information: (P + 1, P + 1) of the priors.
+
+    Raises numpy.linalg.LinAlgError where the frames leave a direction open."""
+    sums = [_of_clusters(part, correlation_s) for part in parts]
+    H = np.sum([part[:, :-1, :-1].sum(axis=0) for part in sums], axis=0) + information[:-1, :-1]
+    gradients = np.concatenate([part[:, :-1, -1] for part in sums])
+    scale = 1.0 / np.sqrt(np.diag(H))
+    root = np.linalg.inv(np.linalg.cholesky(H * np.outer(scale, scale))) * scale  # root H root^T = I
+    gradients = gradients @ root.T
+    if len(gradients) <= MOST_CORRECTED:
+        leverage = np.concatenate([part[:, :-1, :-1] for part in sums])
+        gradients = _corrected(root @ leverage @ root.T, gradients)
+    else:
+        gradients *= np.sqrt(len(gradients) / (len(gradients) - 1))
+    half = gradients @ root
+    return half.T @ half
+
+
+def _of_clusters(frames: FrameMoments, correlation_s: float) -> FloatArray:
+    """(G, P + 1, P + 1) sums."""
+    of_frame = clusters(frames.stamps_ns, correlation_s)
+    sums = np.zeros((int(of_frame[-1]) + 1, *frames.exact.shape[1:]))
+    np.add.at(sums, of_frame, frames.exact)
+    return sums
+
+
+def _corrected(leverage: FloatArray, gradients: FloatArray) -> FloatArray:
+    """(I - leverage)^-1/2 gradient of each cluster: (G, P, P) and (G, P)."""
+    values, vectors = np.linalg.eigh(leverage)
+    amplified = 1.0 / np.sqrt(1.0 - np.clip(values, 0.0, _LARGEST_LEVERAGE))
+    in_axes = amplified * np.einsum("gpk,gp->gk", vectors, gradients)
+    return np.einsum("gpk,gk->gp", vectors, in_axes)

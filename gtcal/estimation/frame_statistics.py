@@ -1,0 +1,277 @@
+"""What each frame says, as sums; and the sums of many frames with the mocap's noise integrated out.
+
+To first order in the unknowns, all that the corners of frame f say is in its moments [J r]^T [J r], in the tangents of
+A_f, of X, of every Y_c and theta_c. Stage 4's noise model, its hold-out error and the frame-clustered covariance are
+computed from them; GTSAM's estimates are not.
+
+The mocap's noise of frame f is xi_f = L_f z_f with z_f of unit covariance, and correlated from frame to frame as a
+first-order process: z_{f+1} = rho_f z_f + sqrt(1 - rho_f^2) w. Eliminating the z_f in order of time (an information
+filter) leaves the sums of the other unknowns, and the determinant that a likelihood needs.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from factors.kernel import kernel
+from factors.moments import chain, transport_view
+from factors.reprojection import view_moments
+from gtcal.camera import FloatArray
+from gtcal.estimation.estimate import Estimate
+from gtcal.estimation.observations import Views
+from gtcal.estimation.residuals import corner_views, select_views
+from gtcal.recordings.detections import IntArray
+
+SMALLEST_CORRELATION = 1e-3
+"""A correlation under this is none: the chain of frames is cut there."""
+
+_MOST_AT_ONCE = 500
+
+
+@dataclass(frozen=True)
+class FrameMoments:
+    """The moments of n frames.
+
+    frame_index: (n,) increasing, as in ``Views.frame_index``. stamps_ns: (n,).
+    moments: (n, D, D) symmetric, whitened by sigma_px; columns A_f (6), then the P of a JointCovariance (X, Y_c,
+        theta_c), then the residual.
+    sigma_px: the standard deviation of a pixel coordinate that they are whitened by.
+    within_square, within_dof: what is left of the whitened squares when each view has a pose of its own, and its
+        degrees of freedom."""
+
+    frame_index: IntArray
+    stamps_ns: IntArray
+    moments: FloatArray
+    sigma_px: float
+    within_square: float
+    within_dof: int
+
+    @property
+    def n_unknowns(self) -> int:
+        """P."""
+        return self.moments.shape[1] - 7
+
+    @property
+    def pixel_sigma_px(self) -> float:
+        """The pixel noise that they show: the scatter of corners round the best pose of each view's own."""
+        return self.sigma_px * math.sqrt(self.within_square / max(self.within_dof, 1))
+
+    @property
+    def exact(self) -> FloatArray:
+        """(n, P + 1, P + 1) with the mocap taken as exact."""
+        return self.moments[:, 6:, 6:]
+
+    def whitened_by(self, sigma_px: float) -> FrameMoments:
+        """The same with another pixel noise."""
+        scale = (self.sigma_px / sigma_px) ** 2
+        return FrameMoments(
+            self.frame_index,
+            self.stamps_ns,
+            scale * self.moments,
+            sigma_px,
+            scale * self.within_square,
+            self.within_dof,
+        )
+
+    def take(self, rows: IntArray) -> FrameMoments:
+        """Only these frames; ``within_square`` and ``within_dof`` stay those of all."""
+        return FrameMoments(
+            self.frame_index[rows],
+            self.stamps_ns[rows],
+            self.moments[rows],
+            self.sigma_px,
+            self.within_square,
+            self.within_dof,
+        )
+
+
+@kernel
+def _add_views(
+    by_view: FloatArray,
+    row: IntArray,
+    ref_T_body: FloatArray,
+    body_T_board: FloatArray,
+    first_pose_column: int,
+    first_theta_column: int,
+    total: FloatArray,
+) -> None:
+    """Add the moments (V, d, d) of a camera's views to those of their frames, both triangles."""
+    n_theta, last = by_view.shape[1] - 7, total.shape[1] - 1
+    column = np.empty(19 + n_theta, dtype=np.int64)
+    for j in range(6):
+        column[j], column[6 + j], column[12 + j] = first_pose_column + j, j, 6 + j
+    for j in range(n_theta):
+        column[18 + j] = first_theta_column + j
+    column[18 + n_theta] = last
+    local = np.empty((19 + n_theta, 19 + n_theta))
+    for v in range(len(by_view)):
+        local[:] = 0.0
+        transport_view(by_view[v], ref_T_body[v], body_T_board, True, local)
+        into = total[row[v]]
+        for a in range(len(local)):
+            into[column[a], column[a]] += local[a, a]
+            for b in range(a + 1, len(local)):
+                into[column[a], column[b]] += local[a, b]
+                into[column[b], column[a]] += local[a, b]
+
+
+def frame_moments(
+    views: Mapping[str, Views],
+    estimate: Estimate,
+    *,
+    sigma_px: float,
+    free_theta: bool,
+    frames: IntArray | None = None,
+) -> FrameMoments:
+    """The moments of the frames (all, or those at ``frames``, increasing) at the estimate and the mocap's poses.
+
+    Without a robust kernel: what is moved by the mocap is no outlier."""
+    stamps, index = _frames(views) if frames is None else _frames(_of_frames(views, frames))
+    sizes = [of_camera.camera.model.n_parameters * free_theta for of_camera in views.values()]
+    n_columns = 13 + 6 * len(sizes) + sum(sizes)
+    total = np.zeros((len(index), n_columns, n_columns))
+    square, dof = 0.0, 0
+    for c, (name, all_views) in enumerate(views.items()):
+        of_camera = all_views if frames is None else _those_of(all_views, frames)
+        if of_camera.n_views == 0:
+            continue
+        poses = estimate.camera_T_ref[name], of_camera.ref_T_body, estimate.body_T_board
+        found = view_moments(
+            corner_views(of_camera, sigma_px),
+            chain(*poses),
+            of_camera.camera.model,
+            estimate.theta[name],
+            with_theta=free_theta,
+        )
+        row = np.searchsorted(index, of_camera.frame_index)
+        theta_column = 12 + 6 * len(sizes) + sum(sizes[:c])
+        _add_views(found.moments, row, *poses[1:], 12 + 6 * c, theta_column, total)
+        square += float(_within_views(found.moments).sum())
+        dof += 2 * of_camera.n_corners - 6 * of_camera.n_views
+    return FrameMoments(index, stamps, total, sigma_px, square, dof)
+
+
+def in_parts(
+    views: Mapping[str, Views], estimate: Estimate, frames: IntArray, *, sigma_px: float, free_theta: bool
+) -> Iterator[FrameMoments]:
+    """The moments of the frames at ``frames``, increasing, a few hundred at a time: a frame's take up to 60 kB."""
+    for part in np.array_split(frames, -(-len(frames) // _MOST_AT_ONCE)):
+        yield frame_moments(views, estimate, sigma_px=sigma_px, free_theta=free_theta, frames=part)
+
+
+def frames_of(views: Mapping[str, Views]) -> IntArray:
+    """The frames that any camera saw, increasing, as in ``Views.frame_index``."""
+    return np.unique(np.concatenate([of_camera.frame_index for of_camera in views.values()]))
+
+
+def _frames(views: Mapping[str, Views]) -> tuple[IntArray, IntArray]:
+    index, first = np.unique(np.concatenate([v.frame_index for v in views.values()]), return_index=True)
+    return np.concatenate([v.stamps_ns for v in views.values()])[first], index
+
+
+def _of_frames(views: Mapping[str, Views], frames: IntArray) -> dict[str, Views]:
+    return {name: _those_of(of_camera, frames) for name, of_camera in views.items()}
+
+
+def _those_of(views: Views, frames: IntArray) -> Views:
+    return select_views(views, np.flatnonzero(np.isin(views.frame_index, frames)))
+
+
+def _within_views(by_view: FloatArray) -> FloatArray:
+    """(V,) squares left when each view has a pose of its own, from moments (V, d, d)."""
+    pose, gradient, square = by_view[:, :6, :6], by_view[:, :6, -1], by_view[:, -1, -1]
+    solved = np.linalg.solve(pose, gradient[:, :, None])[:, :, 0]
+    return square - np.einsum("vi,vi->v", gradient, solved)
+
+
+@kernel
+def _factorise(A: FloatArray) -> float:
+    """Replace the upper triangle of A = R^T R by R; returns log det A."""
+    log_determinant = 0.0
+    for i in range(len(A)):
+        for j in range(i, len(A)):
+            value = A[i, j]
+            for k in range(i):
+                value -= A[k, i] * A[k, j]
+            A[i, j] = math.sqrt(value) if i == j else value / A[i, i]
+        log_determinant += 2.0 * math.log(A[i, i])
+    return log_determinant
+
+
+@kernel
+def _solve_transposed(R: FloatArray, B: FloatArray) -> None:
+    """B = R^-T B."""
+    for i in range(len(R)):
+        for k in range(i):
+            for j in range(B.shape[1]):
+                B[i, j] -= R[k, i] * B[k, j]
+        for j in range(B.shape[1]):
+            B[i, j] /= R[i, i]
+
+
+@kernel
+def _solve(R: FloatArray, B: FloatArray) -> None:
+    """B = R^-1 B."""
+    for i in range(len(R) - 1, -1, -1):
+        for k in range(i + 1, len(R)):
+            for j in range(B.shape[1]):
+                B[i, j] -= R[i, k] * B[k, j]
+        for j in range(B.shape[1]):
+            B[i, j] /= R[i, i]
+
+
+@kernel
+def _to_noise(M: FloatArray, L: FloatArray, A: FloatArray, B: FloatArray) -> None:
+    """Add a frame's moments in z, where its noise is xi = L z: L^T M_xx L to A, L^T M_x,rest to B."""
+    for i in range(6):
+        for j in range(6):
+            value = 0.0
+            for k in range(i, 6):
+                for m in range(j, 6):
+                    value += L[k, i] * M[k, m] * L[m, j]
+            A[i, j] += value
+        for k in range(i, 6):
+            for j in range(B.shape[1]):
+                B[i, j] += L[k, i] * M[k, 6 + j]
+
+
+@kernel
+def eliminate_noise(moments: FloatArray, L: FloatArray, rho: FloatArray, total: FloatArray) -> float:
+    """Integrate the mocap's noise out of the frames' moments (n, D, D), in order of time.
+
+    L: (n, 6, 6) lower factor of each frame's noise covariance. rho: (n,) correlation of a frame's noise with the next
+    one's; 0 cuts the chain, as after the last. Adds the sums of the other unknowns and the residual to the upper
+    triangle of total (D - 6, D - 6) and returns the log determinant of what was integrated out, relative to the
+    noise's own."""
+    size = moments.shape[1] - 6
+    A, B, inverse = np.empty((6, 6)), np.empty((6, size)), np.empty((6, 6))
+    prior, carried, unit = np.eye(6), np.zeros((6, size)), np.eye(6)
+    log_determinant = 0.0
+    for f in range(len(moments)):
+        innovation = 1.0 - rho[f] * rho[f]
+        forward = rho[f] / innovation
+        A[:], B[:] = prior, carried
+        _to_noise(moments[f], L[f], A, B)
+        for i in range(6):
+            A[i, i] += rho[f] * forward
+        log_determinant += _factorise(A) + 6.0 * math.log(innovation)
+        _solve_transposed(A, B)
+        for i in range(size):
+            for j in range(i, size):
+                value = moments[f, 6 + i, 6 + j]
+                for k in range(6):
+                    value -= B[k, i] * B[k, j]
+                total[i, j] += value
+        prior[:], carried[:] = unit, 0.0
+        if forward > 0.0:
+            _solve(A, B)
+            inverse[:] = unit
+            _solve_transposed(A, inverse)
+            _solve(A, inverse)
+            prior[:] = unit / innovation - forward * forward * inverse
+            carried[:] = forward * B
+    return log_determinant

@@ -1,0 +1,274 @@
+"""How noisy the mocap and the pixels are: given, or estimated from the recording.
+
+Variance components: what moves all corners of a frame together, in all cameras, is the mocap's noise; what scatters the
+corners of a view is the pixels'. The noise sits at each tracked body, world_T_body * Exp(noise), with a sigma of its
+translation and one of its rotation; jitter of the clock moves ref_T_body along its own velocity. Composed and
+interpolated they become the covariance of each frame's ref_T_body. Their sizes and the time over which the noise is
+correlated are those of the largest restricted likelihood (REML: Patterson and Thompson 1971), which allows for the
+unknowns that the same frames determine.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.linalg import solve_triangular
+from scipy.optimize import minimize
+from scipy.stats import chi2
+
+from factors.rigid import inverse
+from gtcal.camera import BoolArray, FloatArray
+from gtcal.estimation.frame_statistics import SMALLEST_CORRELATION, FrameMoments, eliminate_noise
+from gtcal.estimation.options import MocapSigmas
+from gtcal.recordings.capture import RefMotion
+from gtcal.recordings.detections import IntArray
+
+MOST_FRAMES = 200
+"""Frames that the noise is estimated from: 1,200 numbers for a handful of sigmas, good to some 5 %."""
+
+FEWEST_NUMBERS = 30
+"""Least surplus of the frames' numbers over the unknowns that a variance is estimated from."""
+
+GROSS_PROBABILITY = 1e-6
+"""A frame whose mocap pose is off by what noise reaches once in a million frames is gross."""
+
+_BLOCKS = 10
+_WIDE = 3.0  # of the logarithm of a sigma: hardly a prior, but a component that the data do not show stays finite
+_TYPICAL_JITTER_S, _TYPICAL_CORRELATION_S = 1e-4, 0.02
+_SMALLEST, _LARGEST = 1e-2, 1e2  # of a component, as a multiple of its first guess
+
+
+@dataclass(frozen=True)
+class MocapNoiseModel:
+    """The mocap's noise in a recording.
+
+    bodies: by tracked body, 'platform' and 'board_body'.
+    correlation_s: time over which the noise of a body is correlated (to 1/e); 0 for white noise.
+    jitter_s: 1-sigma of the time at which the mocap measured a body, independent from frame to frame.
+    estimated: from the recording, else given."""
+
+    bodies: dict[str, MocapSigmas]
+    correlation_s: float = 0.0
+    jitter_s: float = 0.0
+    estimated: bool = False
+
+    def covariance(self, motion: RefMotion, stamps_ns: IntArray) -> FloatArray:
+        """(N, 6, 6) of xi in ref_T_body * Exp(xi) at ``stamps_ns`` (N,), rotation first, in rad and m.
+
+        ref_T_body = world_T_platform^-1 * world_T_board_body: the board body's noise acts where it is, the platform's
+        is carried over by the adjoint. Interpolation between two samples averages what they do not share."""
+        return self.composed(NoiseBases.of(motion, stamps_ns))
+
+    def composed(self, bases: NoiseBases) -> FloatArray:
+        """(N, 6, 6), as ``covariance``."""
+        variances = [bases.jitter * self.jitter_s**2]
+        for name, sigmas in self.bodies.items():
+            share = bases.share(name, self.correlation_s)[:, None, None]
+            variances.append(share * (1e-3 * sigmas.translation_mm) ** 2 * bases.translation[name])
+            variances.append(share * np.deg2rad(sigmas.rotation_deg) ** 2 * bases.rotation[name])
+        return np.sum(variances, axis=0)
+
+    def correlations(self, stamps_ns: IntArray) -> FloatArray:
+        """(N,) correlation of the noise at each of N increasing times with that at the next; 0 for the last."""
+        return correlations(stamps_ns, self.correlation_s)
+
+
+def lower_factors(covariance: FloatArray) -> FloatArray:
+    """(N, 6, 6) L with L L^T = covariance."""
+    return np.asarray(np.linalg.cholesky(covariance), dtype=np.float64)
+
+
+def correlations(stamps_ns: IntArray, correlation_s: float) -> FloatArray:
+    """(N,) exp(-dt / correlation_s) from each of N increasing times to the next; 0 where there is hardly any."""
+    rho = np.zeros(len(stamps_ns))
+    if correlation_s > 0.0:
+        rho[:-1] = np.exp(-1e-9 * np.diff(stamps_ns) / correlation_s)
+    return np.where(rho < SMALLEST_CORRELATION, 0.0, rho)
+
+
+def spread_blocks(frames: IntArray) -> IntArray:
+    """At most MOST_FRAMES of the frames, in blocks of neighbours, so that correlation in time shows."""
+    if len(frames) <= MOST_FRAMES:
+        return frames
+    length = MOST_FRAMES // _BLOCKS
+    starts = np.linspace(0, len(frames) - length, _BLOCKS).astype(np.int64)
+    return frames[(starts[:, None] + np.arange(length)).ravel()]
+
+
+@dataclass(frozen=True)
+class NoiseBases:
+    """What a unit of each noise does to ref_T_body at N times: (N, 6, 6) each, by tracked body, and for the jitter."""
+
+    motion: RefMotion
+    stamps_ns: IntArray
+    translation: dict[str, FloatArray]
+    rotation: dict[str, FloatArray]
+    jitter: FloatArray
+
+    @staticmethod
+    def of(motion: RefMotion, stamps_ns: IntArray) -> NoiseBases:
+        unit = {"rotation": np.diag([1.0, 1, 1, 0, 0, 0]), "translation": np.diag([0.0, 0, 0, 1, 1, 1])}
+        ref_T_body, _ = motion.poses_at(stamps_ns)
+        translation, rotation, jitter = {}, {}, np.zeros((len(stamps_ns), 6, 6))
+        for name, trajectory in motion.trajectories.items():
+            to_board = np.eye(6)[None] if name == "board_body" else _adjoint(inverse(ref_T_body))
+            twist = np.nan_to_num(trajectory.twist_per_s(stamps_ns))
+            moved = (to_board @ twist[:, :, None])[:, :, 0]
+            jitter += np.einsum("ni,nj->nij", moved, moved)
+            translation[name], rotation[name] = (
+                to_board @ unit[kind] @ np.swapaxes(to_board, 1, 2) for kind in ("translation", "rotation")
+            )
+        return NoiseBases(motion, stamps_ns, translation, rotation, jitter)
+
+    def take(self, rows: IntArray) -> NoiseBases:
+        """Only these times."""
+        return NoiseBases(
+            self.motion,
+            self.stamps_ns[rows],
+            {name: base[rows] if len(base) > 1 else base for name, base in self.translation.items()},
+            {name: base[rows] if len(base) > 1 else base for name, base in self.rotation.items()},
+            self.jitter[rows],
+        )
+
+    def share(self, body: str, correlation_s: float) -> FloatArray:
+        """(N,) variance of the body's interpolated pose, as a share of a sample's."""
+        return self.motion.trajectories[body].interpolated_variance(self.stamps_ns, correlation_s)
+
+
+def _adjoint(a_T_b: FloatArray) -> FloatArray:
+    """Ad(a_T_b), (N, 6, 6)."""
+    R, (x, y, z) = a_T_b[:, :3, :3], a_T_b[:, :3, 3].T
+    zero = np.zeros_like(x)
+    skew = np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=1).reshape(-1, 3, 3)
+    adjoint = np.zeros((len(a_T_b), 6, 6))
+    adjoint[:, :3, :3] = adjoint[:, 3:, 3:] = R
+    adjoint[:, 3:, :3] = skew @ R
+    return adjoint
+
+
+def estimate_noise(frames: FrameMoments, motion: RefMotion, information: FloatArray) -> MocapNoiseModel | None:
+    """The mocap's noise that the frames show, gross ones left aside. information: (P + 1, P + 1) what else is known of
+    the unknowns (priors).
+
+    None where the frames are too few to tell."""
+    if 6 * len(frames.frame_index) - frames.n_unknowns < FEWEST_NUMBERS:
+        return None
+    problem = _Likelihood.of(frames, motion, information)
+    sigmas = problem.first_guess()
+    gross = np.zeros(len(frames.frame_index), dtype=bool)
+    for allowance in (10.0, 1.0):
+        now = gross_frames(frames, problem.covariance(sigmas), allowance)
+        if allowance == 1.0 and (now == gross).all():
+            break
+        gross = now
+        sigmas = problem.most_likely(sigmas, np.flatnonzero(~gross))
+    return problem.noise(sigmas)
+
+
+def innovations(frames: FrameMoments, noise: MocapNoiseModel, motion: RefMotion) -> FloatArray:
+    """(n, 6) by how much the noise of each frame differs from what the frames before it let expect, whitened: where the
+    model holds, independent and of unit variance."""
+    L = np.linalg.cholesky(noise.covariance(motion, frames.stamps_ns))
+    rho = noise.correlations(frames.stamps_ns)
+    pose = np.swapaxes(L, 1, 2) @ frames.moments[:, :6, :6] @ L
+    gradient = (np.swapaxes(L, 1, 2) @ frames.moments[:, :6, -1:])[:, :, 0]
+    mean, covariance, found = np.zeros(6), np.eye(6), np.empty((len(L), 6))
+    for f in range(len(L)):
+        measured = np.linalg.inv(pose[f])
+        scatter = covariance + measured
+        difference = -measured @ gradient[f] - mean
+        found[f] = np.linalg.solve(np.linalg.cholesky(scatter), difference)
+        gain = covariance @ np.linalg.inv(scatter)
+        mean = rho[f] * (mean + gain @ difference)
+        covariance = rho[f] ** 2 * (covariance - gain @ covariance) + (1.0 - rho[f] ** 2) * np.eye(6)
+    return found
+
+
+@dataclass(frozen=True)
+class Whiteness:
+    """Whether the noise model explains the frames' offsets.
+
+    variance: of the whitened innovations; 1 where the sigmas are right.
+    lag_1: their correlation from a frame to the next; 0 where nothing systematic is left. lag_1_sigma: of chance."""
+
+    variance: float
+    lag_1: float
+    lag_1_sigma: float
+
+    @staticmethod
+    def of(innovations: FloatArray) -> Whiteness:
+        square = float((innovations**2).sum())
+        product = float((innovations[1:] * innovations[:-1]).sum())
+        n = innovations[1:].size
+        return Whiteness(
+            square / innovations.size, product / square if square else 0.0, float(1.0 / np.sqrt(max(n, 1)))
+        )
+
+
+def gross_frames(frames: FrameMoments, covariance: FloatArray, allowance: float = 1.0) -> BoolArray:
+    """(n,) the frames whose mocap pose is off by more than noise of this covariance (n, 6, 6), with pixel noise,
+    explains; ``allowance`` multiplies the covariance."""
+    pose, gradient = frames.moments[:, :6, :6], frames.moments[:, :6, -1:]
+    offset = np.linalg.solve(pose, gradient)
+    scatter = np.linalg.inv(pose) + allowance * covariance
+    distance2 = np.einsum("nik,nik->n", offset, np.linalg.solve(scatter, offset))
+    return distance2 > chi2.isf(GROSS_PROBABILITY, 6)
+
+
+@dataclass(frozen=True)
+class _Likelihood:
+    """The restricted likelihood of the sigmas: logarithms of, for each tracked body, its translation (m) and rotation
+    (rad), then of the jitter and the time of correlation (s).
+
+    typical: (k,) of each, its first guess."""
+
+    frames: FrameMoments
+    bases: NoiseBases
+    information: FloatArray
+    bodies: tuple[str, ...]
+
+    @staticmethod
+    def of(frames: FrameMoments, motion: RefMotion, information: FloatArray) -> _Likelihood:
+        bases = NoiseBases.of(motion, frames.stamps_ns)
+        return _Likelihood(frames, bases, information, tuple(motion.trajectories))
+
+    def first_guess(self) -> FloatArray:
+        """From the median offset of the frames that the pixels alone show, shared out among the bodies alike."""
+        offset = np.linalg.solve(self.frames.moments[:, :6, :6], self.frames.moments[:, :6, -1:])[:, :, 0]
+        median_of_norm = np.sqrt(chi2.median(3) * len(self.bodies))
+        rotation, translation = (np.median(np.linalg.norm(part, axis=1)) for part in np.split(offset, 2, axis=1))
+        each = [max(translation / median_of_norm, 1e-6), max(rotation / median_of_norm, 1e-7)]
+        return np.log([*each * len(self.bodies), _TYPICAL_JITTER_S, _TYPICAL_CORRELATION_S])
+
+    def noise(self, logs: FloatArray) -> MocapNoiseModel:
+        values = np.exp(logs)
+        bodies = {
+            name: MocapSigmas(float(1e3 * values[2 * i]), float(np.rad2deg(values[2 * i + 1])))
+            for i, name in enumerate(self.bodies)
+        }
+        return MocapNoiseModel(bodies, correlation_s=float(values[-1]), jitter_s=float(values[-2]), estimated=True)
+
+    def covariance(self, logs: FloatArray) -> FloatArray:
+        """(n, 6, 6) of the frames' noise."""
+        return self.noise(logs).composed(self.bases)
+
+    def most_likely(self, start: FloatArray, rows: IntArray) -> FloatArray:
+        """The sigmas of the largest likelihood on the frames at ``rows``."""
+        part = replace(self, frames=self.frames.take(rows), bases=self.bases.take(rows))
+        bounds = [(value + np.log(_SMALLEST), value + np.log(_LARGEST)) for value in self.first_guess()]
+        found = minimize(part.cost, np.clip(start, *np.transpose(bounds)), method="L-BFGS-B", bounds=bounds)
+        return np.asarray(found.x)
+
+    def cost(self, logs: FloatArray) -> float:
+        """Minus the logarithm of the restricted likelihood, and of a prior so wide that it only keeps finite what the
+        data do not show."""
+        total = self.information.copy()
+        L = lower_factors(self.covariance(logs))
+        rho = correlations(self.frames.stamps_ns, float(np.exp(logs[-1])))
+        log_determinant = eliminate_noise(self.frames.moments, L, rho, total)
+        R = np.linalg.cholesky(np.triu(total[:-1, :-1]) + np.triu(total[:-1, :-1], 1).T)
+        explained = solve_triangular(R, total[:-1, -1], lower=True)
+        square = total[-1, -1] - explained @ explained
+        log_determinant += 2.0 * np.log(np.diag(R)).sum()
+        return float(0.5 * (log_determinant + square + (((logs - self.first_guess()) / _WIDE) ** 2).sum()))
