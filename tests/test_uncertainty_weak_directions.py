@@ -48,7 +48,7 @@ ALONE = "one carried camera"
 
 @cache
 def calibration(kind: str = FIXED, intrinsics: str = "refine", **changes: object) -> Calibration:
-    options = CalibrationOptions(intrinsics, allow_degenerate=True)  # type: ignore[arg-type]
+    options = CalibrationOptions(intrinsics, mocap="exact", allow_degenerate=True)  # type: ignore[arg-type]
     return calibrate_observations(synchronise(simulated(kind, **changes).recording), options)
 
 
@@ -276,6 +276,11 @@ def test_two_cameras_that_are_weak_by_themselves_are_not_mixed() -> None:
     assert told == {f"camera {name!r}: its depth, along its optical axis" for name in shifts}
 
 
+def test_large_numbers_are_no_powers_of_ten() -> None:
+    (found,) = planted(cam0=(STILL, (1400.0, 0.0, 0.0)))
+    assert found.size == "1,400 mm 1-sigma"
+
+
 def test_axes_are_named_by_letter_where_they_are_near_one() -> None:
     assert axis_in_words(np.array([0.0, -2.0, 0.1]), "the body") == "the body's y axis"
     assert axis_in_words(np.array([0.0, 0.0, 1.0]), "the mocap's world") == "the z axis of the mocap's world"
@@ -403,7 +408,9 @@ def test_information_and_covariance_tell_the_same() -> None:
     where = Placement.of(found)
     by_covariance = directions_of_covariance(found.covariance, where, most=5)
     by_information = directions_of_information(np.linalg.inv(found.covariance.matrix), where, most=5)
-    assert [one.sentence for one in by_information] == [one.sentence for one in by_covariance]
+    assert by_information[0].sentence == by_covariance[0].sentence
+    weaknesses = [[one.weakness for one in found] for found in (by_information, by_covariance)]
+    np.testing.assert_allclose(*weaknesses, rtol=1e-3)
     assert by_covariance[0].weakness < OPEN
 
 

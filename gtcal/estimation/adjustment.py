@@ -10,7 +10,6 @@ import numpy as np
 
 from factors import RobustKernel
 from gtcal.camera import FloatArray
-from gtcal.errors import GtcalError
 from gtcal.estimation.estimate import Estimate
 from gtcal.estimation.graph import (
     BODY_T_BOARD,
@@ -147,21 +146,31 @@ def _settled(before_px: float, after_px: float, options: CalibrationOptions) -> 
     return independent or abs(after_px - before_px) < 0.02 * before_px
 
 
-def joint_covariance(adjusted: Adjusted, kind: str) -> JointCovariance:
-    """GTSAM's marginals at the solution, which are of this kind.
-
-    Raises GtcalError where the data leave a direction open."""
-    sizes = {name: views.camera.model.n_parameters for name, views in adjusted.screened.views.items()}
-    free = {index for index in range(len(sizes)) if adjusted.values.exists(theta_key(index))}
-    keys = [BODY_T_BOARD, *map(camera_T_ref_key, range(len(sizes))), *map(theta_key, sorted(free))]
+def joint_covariance(adjusted: Adjusted, kind: str) -> JointCovariance | None:
+    """GTSAM's marginals at the solution, which are of this kind; None where the data leave a direction open."""
     try:
-        joint = _joint(gtsam.Marginals(adjusted.graph, adjusted.values), keys)
-    except RuntimeError as error:
-        raise GtcalError(
-            "the views leave a direction of the solution open, so it has no covariance: record more views, turning the "
-            "board about several axes and over the whole image"
-        ) from error
-    return JointCovariance(kind, {name: size * (i in free) for i, (name, size) in enumerate(sizes.items())}, joint)
+        joint = _joint(gtsam.Marginals(adjusted.graph, adjusted.values), joint_keys(adjusted))
+    except RuntimeError:
+        return None
+    if not (np.diag(joint) > 0.0).all():  # rounding, where GTSAM did not notice
+        return None
+    return JointCovariance(kind, theta_sizes(adjusted), joint)
+
+
+def theta_sizes(adjusted: Adjusted) -> dict[str, int]:
+    """By camera the number of intrinsics that were solved for, or 0."""
+    cameras = {name: views.camera for name, views in adjusted.screened.views.items()}
+    free = [adjusted.values.exists(theta_key(index)) for index in range(len(cameras))]
+    return {
+        name: camera.model.n_parameters * is_free for (name, camera), is_free in zip(cameras.items(), free, strict=True)
+    }
+
+
+def joint_keys(adjusted: Adjusted) -> list[int]:
+    """Of X, every Y_c and every theta_c that was solved for, in the order of a ``JointCovariance``."""
+    sizes = list(theta_sizes(adjusted).values())
+    thetas = [theta_key(index) for index, size in enumerate(sizes) if size]
+    return [BODY_T_BOARD, *map(camera_T_ref_key, range(len(sizes))), *thetas]
 
 
 def _joint(marginals: gtsam.Marginals, keys: list[int]) -> FloatArray:

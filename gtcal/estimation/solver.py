@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gtcal.errors import GtcalError
-from gtcal.estimation.adjustment import Adjusted, adjust, joint_covariance, not_adjusted
+from gtcal.estimation.adjustment import Adjusted, adjust, joint_covariance, joint_keys, not_adjusted, theta_sizes
 from gtcal.estimation.alignment import GuideViews, fitting_views, stage_1, stage_2, without_stage_1
 from gtcal.estimation.choice import choose
 from gtcal.estimation.clustered import clustered
@@ -33,12 +33,11 @@ from gtcal.results.calibration import (
 )
 from gtcal.results.covariance import CLUSTERED, ERRORS_IN_VARIABLES, NAIVE, JointCovariance
 from gtcal.results.provenance import provenance
+from gtcal.uncertainty.placement import Placement
+from gtcal.uncertainty.weak_directions import directions_of_covariance, directions_of_graph, weakness_warnings
 
 DISAGREEMENT_RAD = np.deg2rad(3.0)
 """A typical residual of this angle after alignment is no noise: the files contradict each other."""
-
-WEAK_SIGMA_MM, WEAK_SIGMA_DEG = 2.0, 0.2
-"""A 1-sigma over this, on pixel noise alone, is no ground truth."""
 
 LOOSE, LOOSE_PX = 5.0, 1.0
 """How many times worse the corners fit in the chain than with a pose of each view's own, and how badly, to warn of."""
@@ -100,7 +99,7 @@ def calibrate_observations(
         mocap_noise=found.noise,
         stages=(*earlier, *reports, *later),
         dropped=observations.dropped + found.dropped,
-        warnings=(*_warnings(adjusted, sigmas, options), *_fit_warnings((*reports, *later))),
+        warnings=(*_warnings(observations, adjusted, sigmas, options), *_fit_warnings((*reports, *later))),
         provenance=provenance(options, inputs, time.perf_counter() - started),
         solution=Solution(adjusted.graph, adjusted.values, final, adjusted.screened.views),
     )
@@ -131,10 +130,13 @@ def _motion_warnings(views: Mapping[str, Views], options: CalibrationOptions) ->
     return () if warning is None else (warning,)
 
 
-def _warnings(adjusted: Adjusted, sigmas: JointCovariance | None, options: CalibrationOptions) -> tuple[str, ...]:
+def _warnings(
+    observations: Observations, adjusted: Adjusted, sigmas: JointCovariance | None, options: CalibrationOptions
+) -> tuple[str, ...]:
     """The motion is looked at again without the gross views, whose wrong poses would pass for turns."""
     motion = _motion_warnings(adjusted.screened.views, options)
-    return (*motion, *_screening_warnings(adjusted), *(_sigma_warnings(adjusted, sigmas) if sigmas else ()))
+    weak = _weakness_warnings(observations, adjusted, sigmas, options) if 3 in options.stages else ()
+    return (*motion, *_screening_warnings(adjusted), *weak)
 
 
 def _fit_warnings(reports: tuple[StageReport, ...]) -> tuple[str, ...]:
@@ -148,17 +150,26 @@ def _fit_warnings(reports: tuple[StageReport, ...]) -> tuple[str, ...]:
     )
 
 
-def _sigma_warnings(adjusted: Adjusted, sigmas: JointCovariance) -> tuple[str, ...]:
-    found = []
-    for name in adjusted.screened.views:
-        pose = PoseEstimate(adjusted.estimate.camera_T_ref[name], sigmas.camera_T_ref(name))
-        mm, deg = pose.position_of_a_in_b_sigma_mm, pose.rotation_sigma_deg
-        if mm is not None and deg is not None and (mm.max() > WEAK_SIGMA_MM or deg.max() > WEAK_SIGMA_DEG):
-            found.append(
-                f"camera {name!r} is weakly determined (1-sigma {mm.max():.2g} mm, {deg.max():.2g} deg): record more "
-                "views of the board, nearer, over the whole image, and turned about several axes"
-            )
-    return tuple(found)
+def _weakness_warnings(
+    observations: Observations, adjusted: Adjusted, sigmas: JointCovariance | None, options: CalibrationOptions
+) -> tuple[str, ...]:
+    estimate = adjusted.estimate
+    placement = Placement(
+        capture=observations.capture,
+        board_centre_m=observations.board.corners_m.mean(axis=0),
+        body_T_board=estimate.body_T_board,
+        cameras={
+            name: replace(views.camera, parameters=estimate.theta[name]) for name, views in observations.views.items()
+        },
+        camera_T_ref=estimate.camera_T_ref,
+        theta_sizes=theta_sizes(adjusted),
+    )
+    found = (
+        directions_of_graph(adjusted.graph, adjusted.values, joint_keys(adjusted), placement)
+        if sigmas is None
+        else directions_of_covariance(sigmas, placement)
+    )
+    return weakness_warnings(found, allow_degenerate=options.allow_degenerate)
 
 
 def _screening_warnings(adjusted: Adjusted) -> tuple[str, ...]:
@@ -235,19 +246,24 @@ class _Found:
 def _with_mocap_noise(
     adjusted: Adjusted, observations: Observations, options: CalibrationOptions, progress: Progress
 ) -> _Found:
-    """Stage 3's covariances; and stage 4 with its own, where it can be run, if it earns its place."""
+    """Stage 3's covariances; and stage 4 with its own, where it can be run, if it earns its place. Where the data leave
+    a direction open, neither."""
     views, motion = observations.views, observations.motion
     dropped = adjusted.screened.dropped(views)
-    covariances = {NAIVE: joint_covariance(adjusted, NAIVE)}
+    naive = joint_covariance(adjusted, NAIVE)
+    if naive is None:
+        return _Found(adjusted, {3: adjusted.estimate}, {}, None, dropped)
+    covariances = {NAIVE: naive}
     started = time.perf_counter()
     fit = None if options.mocap == "exact" else fit_mocap_noise(adjusted, motion, options)
     correlation_s = fit[1].noise.correlation_s if fit else 0.0
-    covariances |= clustered(adjusted, options, correlation_s, sizes=covariances[NAIVE].theta_sizes)
+    covariances |= clustered(adjusted, options, correlation_s, sizes=naive.theta_sizes)
     if fit is None:
         return _Found(adjusted, {3: adjusted.estimate}, covariances, None, dropped)
     screened, noise = fit
     freed = adjust_with_mocap_noise(screened, noise, motion, options, progress)
-    covariances[ERRORS_IN_VARIABLES] = joint_covariance(freed, ERRORS_IN_VARIABLES)
+    of_freed = joint_covariance(freed, ERRORS_IN_VARIABLES)
+    covariances |= {ERRORS_IN_VARIABLES: of_freed} if of_freed else {}
     report = _report(4, "mocap noise", started, freed.errors, "whitened")
     report = replace(report, median_px=_median_px(views, freed.estimate))
     chosen = choose(noise, whiteness(freed, noise, motion, options))

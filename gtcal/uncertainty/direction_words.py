@@ -126,17 +126,15 @@ def _lens_against_place(name: str, camera: CameraMotion) -> Words:
     lens = _main_part(camera)
     if camera.shift_size < camera.turn_size:
         what = f"camera {name!r}: its {lens} against its attitude"
-        return Words(what, f"{camera.lens_px:.2g} px and {_deg(camera.turn_deg)}", fix, True)
+        return Words(what, f"{_px(camera)} and {_deg(camera.turn_deg)}", fix, True)
     place = "its depth" if depth else "its position"
-    return Words(
-        f"camera {name!r}: its {lens} against {place}", f"{camera.lens_px:.2g} px and {_mm(camera.shift_mm)}", fix, True
-    )
+    return Words(f"camera {name!r}: its {lens} against {place}", f"{_px(camera)} and {_mm(camera.shift_mm)}", fix, True)
 
 
 def _lens(name: str, camera: CameraMotion) -> Words:
     what = f"camera {name!r}: its {_main_part(camera)}, over the image"
     fix = "show it the board over the whole image, into its corners, and tilted"
-    return Words(what, f"{camera.lens_px:.2g} px", fix, False)
+    return Words(what, _px(camera), fix, False)
 
 
 def _main_part(camera: CameraMotion) -> str:
@@ -156,7 +154,7 @@ def _several(moving: list[str], cameras: Mapping[str, CameraMotion], placement: 
     if max(part.lens_size for part in parts) > max(max(part.shift_size, part.turn_size) for part in parts):
         what = f"{_cameras(moving)} together: their lenses"
         return Words(
-            what, f"{max(part.lens_px for part in parts):.2g} px", "show them the board over the whole image", False
+            what, _px(max(parts, key=lambda part: part.lens_px)), "show them the board over the whole image", False
         )
     fix = f"record nearer to them and over more of their images, with {MOVERS[placement.capture]} turned about two axes"
     return Words(what, size, fix, True)
@@ -204,8 +202,17 @@ def _cameras(names: list[str]) -> str:
 
 
 def _mm(*shifts_mm: FloatArray) -> str:
-    return f"{max(float(np.linalg.norm(shift)) for shift in shifts_mm):.2g} mm"
+    return f"{_number(max(float(np.linalg.norm(shift)) for shift in shifts_mm))} mm"
 
 
 def _deg(*turns_deg: FloatArray) -> str:
-    return f"{max(float(np.linalg.norm(turn)) for turn in turns_deg):.2g} deg"
+    return f"{_number(max(float(np.linalg.norm(turn)) for turn in turns_deg))} deg"
+
+
+def _px(camera: CameraMotion) -> str:
+    return f"{_number(camera.lens_px)} px"
+
+
+def _number(value: float) -> str:
+    """Two digits, never as a power of ten."""
+    return f"{value:.2g}" if value < 100.0 else f"{value:,.0f}"
