@@ -25,7 +25,7 @@ from gtcal.estimation.graph import (
 from gtcal.estimation.observations import Observations
 from gtcal.recordings.capture import Capture
 from gtcal.results.calibration import Calibration, PoseEstimate
-from gtcal.results.covariance import JointCovariance
+from gtcal.results.covariance import NAIVE, JointCovariance
 from gtcal.simulation import Simulation
 from gtcal.uncertainty.direction_words import axis_in_words
 from gtcal.uncertainty.placement import UNIT_DEG, UNIT_MM, UNIT_PX, Placement
@@ -406,8 +406,9 @@ def test_an_open_lens_is_named() -> None:
 def test_information_and_covariance_tell_the_same() -> None:
     found = calibration(HEADSET, "fixed", motion="single_axis")
     where = Placement.of(found)
-    by_covariance = directions_of_covariance(found.covariance, where, most=5)
-    by_information = directions_of_information(np.linalg.inv(found.covariance.matrix), where, most=5)
+    joint = found.covariances[NAIVE]
+    by_covariance = directions_of_covariance(joint, where, most=5)
+    by_information = directions_of_information(np.linalg.inv(joint.matrix), where, most=5)
     assert by_information[0].sentence == by_covariance[0].sentence
     weaknesses = [[one.weakness for one in found] for found in (by_information, by_covariance)]
     np.testing.assert_allclose(*weaknesses, rtol=1e-3)
