@@ -30,6 +30,7 @@ SMALLEST_CORRELATION = 1e-3
 """A correlation under this is none: the chain of frames is cut there."""
 
 _MOST_AT_ONCE = 500
+_OPEN = 1e-9  # of the diagonal: an open direction gets a sigma of ten thousand times the others'
 
 
 @dataclass(frozen=True)
@@ -184,8 +185,13 @@ def _those_of(views: Views, frames: IntArray) -> Views:
 def _within_views(by_view: FloatArray) -> FloatArray:
     """(V,) squares left when each view has a pose of its own, from moments (V, d, d)."""
     pose, gradient, square = by_view[:, :6, :6], by_view[:, :6, -1], by_view[:, -1, -1]
-    solved = np.linalg.solve(pose, gradient[:, :, None])[:, :, 0]
+    solved = np.linalg.solve(regular(pose), gradient[:, :, None])[:, :, 0]
     return square - np.einsum("vi,vi->v", gradient, solved)
+
+
+def regular(information: FloatArray) -> FloatArray:
+    """(N, 6, 6) made safe to invert: corners on one line leave a direction open."""
+    return information * (1.0 + _OPEN * np.eye(6))
 
 
 @kernel

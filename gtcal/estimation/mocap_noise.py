@@ -19,7 +19,7 @@ from scipy.stats import chi2
 
 from factors.rigid import inverse
 from gtcal.camera import BoolArray, FloatArray
-from gtcal.estimation.frame_statistics import SMALLEST_CORRELATION, FrameMoments, eliminate_noise
+from gtcal.estimation.frame_statistics import SMALLEST_CORRELATION, FrameMoments, eliminate_noise, regular
 from gtcal.estimation.options import MocapSigmas
 from gtcal.recordings.capture import RefMotion
 from gtcal.recordings.detections import IntArray
@@ -171,7 +171,7 @@ def innovations(frames: FrameMoments, noise: MocapNoiseModel, motion: RefMotion)
     model holds, independent and of unit variance."""
     L = np.linalg.cholesky(noise.covariance(motion, frames.stamps_ns))
     rho = noise.correlations(frames.stamps_ns)
-    pose = np.swapaxes(L, 1, 2) @ frames.moments[:, :6, :6] @ L
+    pose = regular(np.swapaxes(L, 1, 2) @ frames.moments[:, :6, :6] @ L)
     gradient = (np.swapaxes(L, 1, 2) @ frames.moments[:, :6, -1:])[:, :, 0]
     mean, covariance, found = np.zeros(6), np.eye(6), np.empty((len(L), 6))
     for f in range(len(L)):
@@ -209,7 +209,7 @@ class Whiteness:
 def gross_frames(frames: FrameMoments, covariance: FloatArray, allowance: float = 1.0) -> BoolArray:
     """(n,) the frames whose mocap pose is off by more than noise of this covariance (n, 6, 6), with pixel noise,
     explains; ``allowance`` multiplies the covariance."""
-    pose, gradient = frames.moments[:, :6, :6], frames.moments[:, :6, -1:]
+    pose, gradient = regular(frames.moments[:, :6, :6]), frames.moments[:, :6, -1:]
     offset = np.linalg.solve(pose, gradient)
     scatter = np.linalg.inv(pose) + allowance * covariance
     distance2 = np.einsum("nik,nik->n", offset, np.linalg.solve(scatter, offset))
@@ -235,7 +235,7 @@ class _Likelihood:
 
     def first_guess(self) -> FloatArray:
         """From the median offset of the frames that the pixels alone show, shared out among the bodies alike."""
-        offset = np.linalg.solve(self.frames.moments[:, :6, :6], self.frames.moments[:, :6, -1:])[:, :, 0]
+        offset = np.linalg.solve(regular(self.frames.moments[:, :6, :6]), self.frames.moments[:, :6, -1:])[:, :, 0]
         median_of_norm = np.sqrt(chi2.median(3) * len(self.bodies))
         rotation, translation = (np.median(np.linalg.norm(part, axis=1)) for part in np.split(offset, 2, axis=1))
         each = [max(translation / median_of_norm, 1e-6), max(rotation / median_of_norm, 1e-7)]
