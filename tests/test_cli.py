@@ -142,7 +142,7 @@ def test_quiet_prints_nothing_and_verbose_prints_the_stages(folder: Path, tmp_pa
 def test_options_reach_the_solver_and_are_kept(folder: Path, tmp_path: Path) -> None:
     output = tmp_path / "c.json"
     solving = "--kernel Huber --kernel-parameter 2.5 --stages 1 3 --eps 1e-5 --seed 7 --no-screen --sigma-px 0.2"
-    others = "--pnp-views 40 --refine-intrinsics --intrinsics-prior stated"
+    others = "--pnp-views 40 --refine-intrinsics --intrinsics-prior stated --mocap-noise exact"
     ran = run("calibrate", folder, "-o", output, "-q", *solving.split(), *others.split())
     assert (ran.code, ran.err) == (0, "")
     calibration = read_calibration(output)
@@ -151,7 +151,7 @@ def test_options_reach_the_solver_and_are_kept(folder: Path, tmp_path: Path) -> 
     assert options["stages"] == [1, 3]
     assert (options["eps"], options["seed"], options["screen"], options["pnp_views"]) == (1e-5, 7, False, 40)
     assert (options["intrinsics"], options["intrinsics_prior"]) == ("refine", "stated")
-    assert calibration.sigma_px == 0.2
+    assert (options["mocap"], calibration.sigma_px) == ("exact", 0.2)
     assert [stage.stage for stage in calibration.stages] == [0, 1, 3]
     assert all(camera.theta_covariance is not None for camera in calibration.cameras.values())
 

@@ -36,7 +36,14 @@ def clustered(
     views, estimate = adjusted.screened.views, adjusted.estimate
     frames = frames_of(views)
     information = prior_information(views, estimate, options)
-    parts = in_parts(views, estimate, frames, sigma_px=adjusted.sigma_px, free_theta=options.refine_intrinsics)
+    parts = in_parts(
+        views,
+        estimate,
+        frames,
+        sigma_px=adjusted.sigma_px,
+        free_theta=options.refine_intrinsics,
+        robust=options.robust,
+    )
     matrix = clustered_covariance(parts, information, correlation_s)
     return {CLUSTERED: JointCovariance(CLUSTERED, sizes, matrix)}
 

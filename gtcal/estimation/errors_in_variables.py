@@ -63,7 +63,8 @@ def fit_mocap_noise(
 ) -> tuple[Adjusted, MocapNoiseFit] | None:
     """The noise of mocap and pixels at stage 3's estimate, and the views and corners less those of gross frames.
 
-    None where the frames are too few to estimate it from."""
+    None where the frames are too few to estimate it from, or where gross ones are to stay: noise does not explain them.
+    """
     views = adjusted.screened.views
     information = prior_information(views, adjusted.estimate, options)
     chosen = spread_blocks(frames_of(views))
@@ -76,10 +77,10 @@ def fit_mocap_noise(
         if found is None:
             return None
         noise = found
-    if options.screen:
-        adjusted, dropped = _without_gross_frames(adjusted, noise, motion, options, sample.sigma_px)
-    else:
-        dropped = ()
+    gross = _gross_views(adjusted, noise, motion, options, sample.sigma_px)
+    if gross and not options.screen:
+        return None
+    adjusted, dropped = _without(adjusted, gross)
     held_out = hold_out(
         adjusted.screened.views,
         adjusted.estimate,
@@ -98,26 +99,30 @@ def _moments(
     return frame_moments(views, estimate, sigma_px=sigma_px, free_theta=options.refine_intrinsics, frames=frames)
 
 
-def _without_gross_frames(
+def _gross_views(
     adjusted: Adjusted, noise: MocapNoiseModel, motion: RefMotion, options: CalibrationOptions, sigma_px: float
-) -> tuple[Adjusted, tuple[Dropped, ...]]:
-    """The adjusted views less those of frames that the noise does not explain."""
+) -> dict[str, BoolArray]:
+    """By camera, the views of frames that the noise does not explain; empty where there are none."""
     views = adjusted.screened.views
     frames = frames_of(views)
     parts = in_parts(views, adjusted.estimate, frames, sigma_px=sigma_px, free_theta=options.refine_intrinsics)
     gross = np.concatenate([gross_frames(part, noise.covariance(motion, part.stamps_ns)) for part in parts])
     if not gross.any():
-        return adjusted, ()
-    bad = frames[gross]
-    keep = {name: ~np.isin(of_camera.frame_index, bad) for name, of_camera in views.items()}
-    if not all(mask.sum() >= _FEWEST_VIEWS for mask in keep.values()):
+        return {}
+    return {name: np.isin(of_camera.frame_index, frames[gross]) for name, of_camera in views.items()}
+
+
+def _without(adjusted: Adjusted, gross: Mapping[str, BoolArray]) -> tuple[Adjusted, tuple[Dropped, ...]]:
+    """The adjusted views less the gross ones; all of them where too few would be left."""
+    views = adjusted.screened.views
+    if not gross or any((~mask).sum() < _FEWEST_VIEWS for mask in gross.values()):
         return adjusted, ()
     dropped = tuple(
-        Dropped(name, _GROSS, int((~mask).sum()), _n_corners(views[name], ~mask))
-        for name, mask in keep.items()
-        if not mask.all()
+        Dropped(name, _GROSS, int(mask.sum()), _n_corners(views[name], mask))
+        for name, mask in gross.items()
+        if mask.any()
     )
-    kept = {name: select_views(views[name], np.flatnonzero(mask)) for name, mask in keep.items()}
+    kept = {name: select_views(views[name], np.flatnonzero(~mask)) for name, mask in gross.items()}
     screened = replace(adjusted.screened, views=kept).under(adjusted.estimate)
     return replace(adjusted, screened=screened), dropped
 

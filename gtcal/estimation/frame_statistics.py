@@ -17,6 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from factors import GAUSSIAN, RobustKernel
 from factors.kernel import kernel
 from factors.moments import chain, transport_view
 from factors.reprojection import view_moments
@@ -127,10 +128,12 @@ def frame_moments(
     sigma_px: float,
     free_theta: bool,
     frames: IntArray | None = None,
+    robust: RobustKernel = GAUSSIAN,
 ) -> FrameMoments:
     """The moments of the frames (all, or those at ``frames``, increasing) at the estimate and the mocap's poses.
 
-    Without a robust kernel: what is moved by the mocap is no outlier."""
+    robust: weighs corners as an estimate did that takes the mocap as exact; for one that does not, what the mocap
+        moves is no outlier."""
     stamps, index = _frames(views) if frames is None else _frames(_of_frames(views, frames))
     sizes = [of_camera.camera.model.n_parameters * free_theta for of_camera in views.values()]
     n_columns = 13 + 6 * len(sizes) + sum(sizes)
@@ -147,6 +150,7 @@ def frame_moments(
             of_camera.camera.model,
             estimate.theta[name],
             with_theta=free_theta,
+            robust=robust,
         )
         row = np.searchsorted(index, of_camera.frame_index)
         theta_column = 12 + 6 * len(sizes) + sum(sizes[:c])
@@ -157,11 +161,17 @@ def frame_moments(
 
 
 def in_parts(
-    views: Mapping[str, Views], estimate: Estimate, frames: IntArray, *, sigma_px: float, free_theta: bool
+    views: Mapping[str, Views],
+    estimate: Estimate,
+    frames: IntArray,
+    *,
+    sigma_px: float,
+    free_theta: bool,
+    robust: RobustKernel = GAUSSIAN,
 ) -> Iterator[FrameMoments]:
     """The moments of the frames at ``frames``, increasing, a few hundred at a time: a frame's take up to 60 kB."""
     for part in np.array_split(frames, -(-len(frames) // _MOST_AT_ONCE)):
-        yield frame_moments(views, estimate, sigma_px=sigma_px, free_theta=free_theta, frames=part)
+        yield frame_moments(views, estimate, sigma_px=sigma_px, free_theta=free_theta, frames=part, robust=robust)
 
 
 def frames_of(views: Mapping[str, Views]) -> IntArray:
@@ -190,8 +200,9 @@ def _within_views(by_view: FloatArray) -> FloatArray:
 
 
 def regular(information: FloatArray) -> FloatArray:
-    """(N, 6, 6) made safe to invert: corners on one line leave a direction open."""
-    return information * (1.0 + _OPEN * np.eye(6))
+    """(N, 6, 6) made safe to invert: corners on one line leave a direction open, and those without a pixel all of it."""
+    blank = np.einsum("nii->ni", information) == 0.0
+    return information * (1.0 + _OPEN * np.eye(6)) + blank[:, None, :] * np.eye(6)
 
 
 @kernel
