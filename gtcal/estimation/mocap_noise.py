@@ -34,6 +34,7 @@ GROSS_PROBABILITY = 1e-6
 """A frame whose mocap pose is off by what noise reaches once in a million frames is gross."""
 
 _BLOCKS = 10
+_HARDLY_ANYTHING = 1e-6  # information, where the noise itself has 1: on a direction that a frame leaves open
 _WIDE = 3.0  # of the logarithm of a sigma: hardly a prior, but a component that the data do not show stays finite
 _TYPICAL_JITTER_S, _TYPICAL_CORRELATION_S = 1e-4, 0.02
 _SMALLEST, _LARGEST = 1e-2, 1e2  # of a component, as a multiple of its first guess
@@ -45,7 +46,7 @@ class MocapNoiseModel:
 
     bodies: by tracked body, 'platform' and 'board_body'.
     correlation_s: time over which the noise of a body is correlated (to 1/e); 0 for white noise.
-    jitter_s: 1-sigma of the time at which the mocap measured a body, independent from frame to frame.
+    jitter_s: 1-sigma of the time at which the mocap measured a body, independent from sample to sample.
     estimated: from the recording, else given."""
 
     bodies: dict[str, MocapSigmas]
@@ -115,7 +116,8 @@ class NoiseBases:
             to_board = np.eye(6)[None] if name == "board_body" else _adjoint(inverse(ref_T_body))
             twist = np.nan_to_num(trajectory.twist_per_s(stamps_ns))
             moved = (to_board @ twist[:, :, None])[:, :, 0]
-            jitter += np.einsum("ni,nj->nij", moved, moved)
+            share = trajectory.interpolated_variance(stamps_ns, 0.0)
+            jitter += share[:, None, None] * np.einsum("ni,nj->nij", moved, moved)
             translation[name], rotation[name] = (
                 to_board @ unit[kind] @ np.swapaxes(to_board, 1, 2) for kind in ("translation", "rotation")
             )
@@ -171,7 +173,7 @@ def innovations(frames: FrameMoments, noise: MocapNoiseModel, motion: RefMotion)
     model holds, independent and of unit variance."""
     L = np.linalg.cholesky(noise.covariance(motion, frames.stamps_ns))
     rho = noise.correlations(frames.stamps_ns)
-    pose = regular(np.swapaxes(L, 1, 2) @ frames.moments[:, :6, :6] @ L)
+    pose = np.swapaxes(L, 1, 2) @ frames.moments[:, :6, :6] @ L + _HARDLY_ANYTHING * np.eye(6)
     gradient = (np.swapaxes(L, 1, 2) @ frames.moments[:, :6, -1:])[:, :, 0]
     mean, covariance, found = np.zeros(6), np.eye(6), np.empty((len(L), 6))
     for f in range(len(L)):
