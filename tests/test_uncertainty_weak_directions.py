@@ -22,6 +22,7 @@ from gtcal.estimation.graph import (
     theta_key,
     to_values,
 )
+from gtcal.estimation.marginals import joint_information
 from gtcal.estimation.observations import Observations
 from gtcal.recordings.capture import Capture
 from gtcal.results.calibration import Calibration, PoseEstimate
@@ -36,7 +37,6 @@ from gtcal.uncertainty.weak_directions import (
     directions_of_covariance,
     directions_of_graph,
     directions_of_information,
-    joint_information,
     least_sure,
     weak_directions,
     weakness_warnings,

@@ -9,7 +9,7 @@ import gtsam
 import numpy as np
 
 from factors import RobustKernel
-from gtcal.camera import FloatArray
+from gtcal.errors import GtcalError
 from gtcal.estimation.estimate import Estimate
 from gtcal.estimation.graph import (
     BODY_T_BOARD,
@@ -21,6 +21,7 @@ from gtcal.estimation.graph import (
     to_values,
     updated,
 )
+from gtcal.estimation.marginals import covariance_of, joint_information
 from gtcal.estimation.observations import Views
 from gtcal.estimation.options import CalibrationOptions
 from gtcal.estimation.screening import Screened, keep_all, screen
@@ -147,14 +148,13 @@ def _settled(before_px: float, after_px: float, options: CalibrationOptions) -> 
 
 
 def joint_covariance(adjusted: Adjusted, kind: str) -> JointCovariance | None:
-    """GTSAM's marginals at the solution, which are of this kind; None where the data leave a direction open."""
+    """The marginal covariance at the solution, which is of this kind; None where the data leave a direction open."""
     try:
-        joint = _joint(gtsam.Marginals(adjusted.graph, adjusted.values), joint_keys(adjusted))
-    except RuntimeError:
+        information = joint_information(adjusted.graph, adjusted.values, joint_keys(adjusted))
+    except GtcalError:
         return None
-    if not (np.diag(joint) > 0.0).all():  # rounding, where GTSAM did not notice
-        return None
-    return JointCovariance(kind, theta_sizes(adjusted), joint)
+    covariance = covariance_of(information)
+    return None if covariance is None else JointCovariance(kind, theta_sizes(adjusted), covariance)
 
 
 def theta_sizes(adjusted: Adjusted) -> dict[str, int]:
@@ -171,8 +171,3 @@ def joint_keys(adjusted: Adjusted) -> list[int]:
     sizes = list(theta_sizes(adjusted).values())
     thetas = [theta_key(index) for index, size in enumerate(sizes) if size]
     return [BODY_T_BOARD, *map(camera_T_ref_key, range(len(sizes))), *thetas]
-
-
-def _joint(marginals: gtsam.Marginals, keys: list[int]) -> FloatArray:
-    joint = marginals.jointMarginalCovariance(keys)
-    return np.block([[joint.at(row, column) for column in keys] for row in keys])

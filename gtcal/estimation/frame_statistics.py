@@ -200,7 +200,7 @@ def _within_views(by_view: FloatArray) -> FloatArray:
 
 
 def regular(information: FloatArray) -> FloatArray:
-    """(N, 6, 6) made safe to invert: corners on one line leave a direction open, and those without a pixel all of it."""
+    """(N, 6, 6) made safe to invert: corners on one line leave a direction open, those without a pixel all of it."""
     blank = np.einsum("nii->ni", information) == 0.0
     return information * (1.0 + _OPEN * np.eye(6)) + blank[:, None, :] * np.eye(6)
 

@@ -21,6 +21,7 @@ import numpy as np
 
 from gtcal.camera import FloatArray
 from gtcal.errors import GtcalError
+from gtcal.estimation.marginals import joint_information
 from gtcal.results.calibration import Calibration
 from gtcal.results.covariance import JointCovariance
 from gtcal.uncertainty.direction_words import described, shifts_all
@@ -125,26 +126,6 @@ def directions_of_graph(
 
     Raises GtcalError where these others are open by themselves."""
     return directions_of_information(joint_information(graph, values, keys), placement)
-
-
-def joint_information(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, keys: list[int]) -> FloatArray:
-    """(P, P) of the variables ``keys``, in their order, all others eliminated. May be singular.
-
-    Raises GtcalError where the others are open by themselves."""
-    linear = graph.linearize(values)
-    ordering, others = gtsam.Ordering(), gtsam.Ordering()
-    for key in keys:
-        ordering.push_back(key)
-    for key in sorted(set(values.keys()) - set(keys)):
-        others.push_back(key)
-    if others.size():
-        try:
-            _, linear = linear.eliminatePartialSequential(others)
-        except RuntimeError as error:
-            raise GtcalError(
-                "the poses of single frames are open, so nothing can be said of the rest: is the mocap's prior missing?"
-            ) from error
-    return np.asarray(linear.hessian(ordering)[0])
 
 
 def weakness_warnings(found: tuple[WeakDirection, ...], *, allow_degenerate: bool) -> tuple[str, ...]:
