@@ -22,7 +22,7 @@ from gtcal.camera import BoolArray, FloatArray
 from gtcal.estimation.adjustment import Adjusted, intrinsics_priors
 from gtcal.estimation.estimate import Estimate
 from gtcal.estimation.frame_statistics import FrameMoments, frame_moments, frames_of, in_parts
-from gtcal.estimation.graph import BODY_T_BOARD, camera_T_ref_key, minimise, theta_key, to_values, updated
+from gtcal.estimation.graph import BODY_T_BOARD, Minimisation, camera_T_ref_key, minimise, theta_key, to_values, updated
 from gtcal.estimation.hold_out import HoldOut, hold_out
 from gtcal.estimation.mocap_noise import (
     MocapNoiseModel,
@@ -128,6 +128,7 @@ def _without(adjusted: Adjusted, gross: Mapping[str, BoolArray]) -> tuple[Adjust
 
 
 _FEWEST_VIEWS = 3
+_LEAST_GAIN = 0.05  # a step of a third of a sigma
 _GROSS = "mocap pose off by more than its noise explains"
 
 
@@ -146,11 +147,30 @@ def adjust_with_mocap_noise(
     views = adjusted.screened.views
     progress("stage 4: mocap noise", 0, 1)
     graph, values = _problem(adjusted, fit, motion, options)
-    found = minimise(graph, values, eps=options.eps, max_iterations=options.max_iterations)
+    found = _minimised(graph, values, views, options)
     estimate = updated(adjusted.estimate, found.values)
     progress("stage 4: mocap noise", 1, 1)
     screened = replace(adjusted.screened, views=views).under(estimate)
     return Adjusted(estimate, fit.sigma_px, screened, graph, found.values, found.errors)
+
+
+def _minimised(
+    graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, views: Mapping[str, Views], options: CalibrationOptions
+) -> Minimisation:
+    """Intrinsics that are free start where they were before stage 3, which bends them to fit the mocap's noise, often
+    up to where corners leave the field of view; from there only if that ends badly."""
+    as_stated = gtsam.Values(values)
+    for index, of_camera in enumerate(views.values()):
+        if values.exists(theta_key(index)):
+            as_stated.update(theta_key(index), of_camera.camera.theta)
+
+    def run(start: gtsam.Values) -> Minimisation:
+        return minimise(graph, start, eps=options.eps, max_iterations=options.max_iterations, least_gain=_LEAST_GAIN)
+
+    found = run(as_stated)
+    if not (found.stuck and options.refine_intrinsics):
+        return found
+    return min(found, run(values), key=lambda minimisation: minimisation.errors[-1])
 
 
 def whiteness(freed: Adjusted, fit: MocapNoiseFit, motion: RefMotion, options: CalibrationOptions) -> Whiteness:

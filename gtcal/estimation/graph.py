@@ -122,16 +122,20 @@ def reprojection_graph(
     return graph
 
 
-_LARGEST_DAMPING = 1e9
+_LARGEST_DAMPING, _SHORT_STEPS_DAMPING = 1e9, 1e-2
 
 
 @dataclass(frozen=True)
 class Minimisation:
-    """Where the minimisation ended, and the graph's error at its start and after each iteration."""
+    """Where the minimisation ended, and the graph's error at its start and after each iteration.
+
+    stuck: it ended in steps that damping had made short, at a wall (corners that leave the field of view) and not in a
+        valley."""
 
     values: gtsam.Values
     errors: tuple[float, ...]
     converged: bool
+    stuck: bool = False
 
     @property
     def iterations(self) -> int:
@@ -139,9 +143,15 @@ class Minimisation:
 
 
 def minimise(
-    graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, *, eps: float, max_iterations: int
+    graph: gtsam.NonlinearFactorGraph,
+    values: gtsam.Values,
+    *,
+    eps: float,
+    max_iterations: int,
+    least_gain: float = np.inf,
 ) -> Minimisation:
-    """Levenberg-Marquardt until an iteration improves the error E by less than eps (1 + E).
+    """Levenberg-Marquardt until an iteration improves the error E by less than eps (1 + E), and by less than
+    ``least_gain``: of a whitened error, a gain of 1/2 can be a step of a whole sigma.
 
     Damped by the Hessian's diagonal: rad, m, px and distortion coefficients stand side by side in one graph."""
     parameters = gtsam.LevenbergMarquardtParams()
@@ -149,9 +159,10 @@ def minimise(
     parameters.setlambdaUpperBound(_LARGEST_DAMPING)
     optimizer = gtsam.LevenbergMarquardtOptimizer(graph, values, parameters)
     errors = [optimizer.error()]
-    while len(errors) <= max_iterations:
+    converged = False
+    while len(errors) <= max_iterations and not converged:
         optimizer.iterate()
         errors.append(optimizer.error())
-        if not errors[-2] - errors[-1] >= eps * (1.0 + errors[-1]):
-            return Minimisation(optimizer.values(), tuple(errors), converged=bool(np.isfinite(errors[-1])))
-    return Minimisation(optimizer.values(), tuple(errors), converged=False)
+        converged = not errors[-2] - errors[-1] >= min(eps * (1.0 + errors[-1]), least_gain)
+    stuck = optimizer.lambda_() > _SHORT_STEPS_DAMPING
+    return Minimisation(optimizer.values(), tuple(errors), converged and bool(np.isfinite(errors[-1])), stuck)
