@@ -82,12 +82,24 @@ def _frame_triangle(
 
 @dataclass
 class _Sums:
-    """The moments of all views at one set of values."""
+    """The moments of all views, and the loss of each frame, at one set of values."""
 
-    at: dict[int, FloatArray] = field(default_factory=dict)
+    poses: dict[int, gtsam.Pose3] = field(default_factory=dict)
+    thetas: dict[int, FloatArray] = field(default_factory=dict)
+    ref_T_body: FloatArray = field(default_factory=lambda: np.zeros((0, 4, 4)))
+    body_T_board: FloatArray = field(default_factory=lambda: np.eye(4))
     by_view: list[FloatArray] = field(default_factory=list)
     loss: FloatArray = field(default_factory=lambda: np.zeros(0))
-    with_moments: bool = False
+
+    def are_at(self, values: gtsam.Values, keys: Sequence[int]) -> bool:
+        """Whether they stand for these values of the keys, to the last bit."""
+        for key in keys:
+            if key in self.poses:
+                if not values.atPose3(key).equals(self.poses[key], 0.0):
+                    return False
+            elif key not in self.thetas or not np.array_equal(values.atVector(key), self.thetas[key]):
+                return False
+        return True
 
     def of_views(self, views: list[tuple[int, int]]) -> FloatArray:
         """(v, d, d) moments of these views, those of smaller ones in the upper left."""
@@ -133,36 +145,32 @@ class FramesReprojection:
             raise ValueError(f"frame {seen.index([])} is seen by no camera")
         self.factors = [FrameReprojectionFactor(self, frame, views) for frame, views in enumerate(seen)]
 
-    def sums_at(self, values: gtsam.Values, keys: Sequence[int], *, with_moments: bool) -> _Sums:
+    def sums_at(self, values: gtsam.Values, keys: Sequence[int]) -> _Sums:
         """The sums at ``values``, made anew unless they stand for the same ``keys``' values."""
-        sums = self._sums
-        if (with_moments and not sums.with_moments) or not all(
-            key in sums.at and np.array_equal(self._value(values, key), sums.at[key]) for key in keys
-        ):
-            self._sums = sums = self._summed(values, with_moments)
-        return sums
+        if not self._sums.are_at(values, keys):
+            self._sums = self._summed(values)
+        return self._sums
 
-    def _value(self, values: gtsam.Values, key: int) -> FloatArray:
-        return values.atVector(key) if key in self._theta else pose_at(values, key)
-
-    def _summed(self, values: gtsam.Values, with_moments: bool) -> _Sums:
-        keys = (*self.ref_T_body, self.body_T_board, *(camera.camera_T_ref for camera in self.cameras), *self._theta)
-        at = {key: self._value(values, key) for key in keys}
-        ref_T_body = np.stack([at[key] for key in self.ref_T_body])
+    def _summed(self, values: gtsam.Values) -> _Sums:
+        """With the moments even where only the error is asked for: a step that lowers it is linearised next."""
+        keys = (*self.ref_T_body, self.body_T_board, *(camera.camera_T_ref for camera in self.cameras))
+        poses = {key: values.atPose3(key) for key in keys}
+        thetas = {key: values.atVector(key) for key in self._theta}
+        ref_T_body = np.stack([poses[key].matrix() for key in self.ref_T_body])
+        body_T_board = pose_at(values, self.body_T_board)
         by_view, loss = [], np.zeros(len(self.ref_T_body))
         for camera in self.cameras:
             found = view_moments(
                 camera.views,
-                chain(at[camera.camera_T_ref], ref_T_body[camera.frame], at[self.body_T_board]),
+                chain(pose_at(values, camera.camera_T_ref), ref_T_body[camera.frame], body_T_board),
                 camera.model,
-                at[camera.theta] if isinstance(camera.theta, int) else camera.theta,
+                thetas[camera.theta] if isinstance(camera.theta, int) else camera.theta,
                 robust=self.robust,
                 with_theta=camera.n_theta > 0,
-                with_moments=with_moments,
             )
             by_view.append(found.moments)
             loss += np.bincount(camera.frame, found.loss, minlength=len(loss))
-        return _Sums(at, by_view, loss, with_moments)
+        return _Sums(poses, thetas, ref_T_body, body_T_board, by_view, loss)
 
 
 class _FrameResidual:
@@ -183,13 +191,13 @@ class _FrameResidual:
         self._blocks = list(itertools.pairwise(edges.tolist()))
 
     def __call__(self, factor: gtsam.CustomFactor, values: gtsam.Values, jacobians: Jacobians) -> FloatArray:
-        sums = self._frames.sums_at(values, self.keys, with_moments=jacobians is not None)
+        sums = self._frames.sums_at(values, self.keys)
         if jacobians is None:
             return np.array([math.sqrt(2.0 * sums.loss[self._frame])])
         triangle = _frame_triangle(
             sums.of_views(self._views),
-            sums.at[self.keys[0]],
-            sums.at[self.keys[1]],
+            sums.ref_T_body[self._frame],
+            sums.body_T_board,
             self._first_column,
             self._n_theta,
             self._n_columns,

@@ -31,14 +31,16 @@ from factors import CornerReprojectionFactor, RobustKernel
 from factors.moments import chain
 from gtcal import CalibrationOptions, board_from_manifest, synchronise
 from gtcal.camera import FloatArray
-from gtcal.estimation.adjustment import adjust, joint_covariance
+from gtcal.estimation.adjustment import Adjusted, adjust, joint_covariance
 from gtcal.estimation.alignment import GuideViews, stage_1, stage_2
+from gtcal.estimation.errors_in_variables import MocapNoiseFit, adjust_with_mocap_noise, fit_mocap_noise
 from gtcal.estimation.estimate import Estimate
 from gtcal.estimation.graph import BODY_T_BOARD, camera_T_ref_key, minimise, reprojection_graph, to_values, updated
 from gtcal.estimation.observations import Observations, Views
 from gtcal.estimation.pnp import solve_pnp
 from gtcal.estimation.residuals import chain_residuals_px, select_views
-from gtcal.results.covariance import NAIVE
+from gtcal.recordings.capture import RefMotion
+from gtcal.results.covariance import ERRORS_IN_VARIABLES, NAIVE, JointCovariance
 from gtcal.simulation import SimulationOptions, quest3_like_rig, simulate
 
 BOARD = {
@@ -54,7 +56,8 @@ GROWTH_FRAMES = (250, 1_000, 4_000, 16_000)
 FRAME_RATE_HZ = 30.0
 PER_CORNER_VIEWS = 10  # of each camera
 
-STAGE_3 = "stage 3: pixels, screened"
+STAGE_3, STAGE_3_MARGINALS = "stage 3: pixels, screened", "marginals"
+NOISE, STAGE_4 = "mocap noise: estimated, gross frames, hold-out", "stage 4: mocap noise, marginals"
 
 T = TypeVar("T")
 Seconds = dict[str, float]
@@ -82,17 +85,26 @@ def guided(views: Mapping[str, Views]) -> dict[str, GuideViews]:
     return {name: GuideViews.of(v, solve_pnp(v, max_views=OPTIONS.pnp_views)) for name, v in views.items()}
 
 
-def solve(views: Mapping[str, Views]) -> tuple[Estimate, Estimate, Seconds]:
+def solve(observations: Observations) -> tuple[Estimate, Estimate, Seconds]:
     """Where stage 2 and stage 3 end, and what each part takes."""
     seconds: Seconds = {}
+    views = observations.views
     guides, seconds["PnP"] = timed(lambda: guided(views))
     aligned, seconds["stage 1: sweeps"] = timed(lambda: stage_1(guides, np.random.default_rng(0)))
     (start, _), seconds["stage 2: 3-D alignment"] = timed(
         lambda: stage_2(aligned.views, aligned.estimate, eps=OPTIONS.eps, max_iterations=100)
     )
     adjusted, seconds[STAGE_3] = timed(lambda: adjust(views, start, OPTIONS))
-    _, seconds["marginals"] = timed(lambda: joint_covariance(adjusted, NAIVE))
+    _, seconds[STAGE_3_MARGINALS] = timed(lambda: joint_covariance(adjusted, NAIVE))
+    (screened, noise), seconds[NOISE] = timed(lambda: fit_mocap_noise(adjusted, observations.motion, OPTIONS))
+    _, seconds[STAGE_4] = timed(lambda: stage_4(screened, noise, observations.motion))
     return start, adjusted.estimate, seconds
+
+
+def stage_4(screened: Adjusted, noise: MocapNoiseFit, motion: RefMotion) -> JointCovariance | None:
+    """Errors in variables: every frame's ref_T_body a variable, to the covariance of what the frames share."""
+    freed = adjust_with_mocap_noise(screened, noise, motion, OPTIONS)
+    return joint_covariance(freed, ERRORS_IN_VARIABLES)
 
 
 def stage_3_alone(views: Mapping[str, Views], start: Estimate) -> tuple[Estimate, float]:
@@ -188,17 +200,23 @@ def difference_mm(a: Estimate, b: Estimate) -> float:
 
 
 def compare(console: Console) -> None:
-    views = recording_of(1_000).views
+    observations = recording_of(1_000)
+    views = observations.views
     n_corners = sum(v.n_corners for v in views.values())
     console.print(f"{len(views)} cameras, 1,000 frames, {n_corners:,} corners")
-    solve(views)  # compiles the kernels
-    start, _, seconds = min((solve(views) for _ in range(3)), key=lambda run: sum(run[2].values()))
+    solve(observations)  # compiles the kernels
+    start, _, seconds = min((solve(observations) for _ in range(3)), key=lambda run: sum(run[2].values()))
     ours, ours_s = min((stage_3_alone(views, start) for _ in range(3)), key=lambda run: run[1])
     total_s = sum(seconds.values())
     parts = Table("part", "s", "of stage 3", "of its minimisation alone")
     for name, part_s in [*seconds.items(), ("all of it", total_s)]:
         parts.add_row(name, f"{part_s:.3f}", f"{part_s / seconds[STAGE_3]:.2f}", f"{part_s / ours_s:.2f}")
     console.print(parts)
+    plain_s = seconds[STAGE_3] + seconds[STAGE_3_MARGINALS]
+    console.print(
+        f"stage 4 against stage 3, marginals included: {seconds[STAGE_4] / plain_s:.1f} times; with the noise "
+        f"estimated first: {(seconds[NOISE] + seconds[STAGE_4]) / plain_s:.1f} times"
+    )
 
     by_scipy, scipy_s = scipy_alone(views, start)
     few = {
@@ -229,10 +247,11 @@ def compare(console: Console) -> None:
 
 def one_size(n_frames: int) -> None:
     """Print, as JSON, what one size takes; the peak memory is that of this process."""
-    views = recording_of(n_frames).views
+    observations = recording_of(n_frames)
+    views = observations.views
     before_mib = peak_mib()
-    solve(recording_of(60).views)  # compiles the kernels
-    start, _, seconds = min((solve(views) for _ in range(2)), key=lambda run: sum(run[2].values()))
+    solve(recording_of(60))  # compiles the kernels
+    start, _, seconds = min((solve(observations) for _ in range(2)), key=lambda run: sum(run[2].values()))
     seconds["stage 3, minimisation alone"] = min(stage_3_alone(views, start)[1] for _ in range(2))
     print(
         json.dumps(
@@ -254,7 +273,7 @@ def peak_mib() -> float:
 
 def growth(console: Console) -> None:
     table = Table("frames", "corners", title="growth with the number of frames, s", title_justify="left")
-    columns = ("PnP", "stage 1: sweeps", "stage 2: 3-D alignment", "stage 3, minimisation alone", "marginals")
+    columns = ("PnP", "stage 1: sweeps", "stage 2: 3-D alignment", "stage 3, minimisation alone", STAGE_4)
     for heading in (*columns, "peak memory, MiB", "of it to simulate"):
         table.add_column(heading, justify="right")
     for n_frames in GROWTH_FRAMES:

@@ -22,8 +22,9 @@ from gtcal.camera import BoolArray, FloatArray
 from gtcal.estimation.adjustment import Adjusted, intrinsics_priors
 from gtcal.estimation.estimate import Estimate
 from gtcal.estimation.frame_statistics import FrameMoments, frame_moments, frames_of, in_parts
-from gtcal.estimation.graph import BODY_T_BOARD, Minimisation, camera_T_ref_key, minimise, theta_key, to_values, updated
+from gtcal.estimation.graph import BODY_T_BOARD, Minimisation, camera_T_ref_key, theta_key, to_values, updated
 from gtcal.estimation.hold_out import HoldOut, hold_out
+from gtcal.estimation.many_frames import minimise_many_frames
 from gtcal.estimation.mocap_noise import (
     MocapNoiseModel,
     Whiteness,
@@ -164,8 +165,15 @@ def _minimised(
         if values.exists(theta_key(index)):
             as_stated.update(theta_key(index), of_camera.camera.theta)
 
+    shared = dict.fromkeys((BODY_T_BOARD, *map(camera_T_ref_key, range(len(views)))), 6)
+    shared |= {
+        theta_key(c): v.camera.model.n_parameters for c, v in enumerate(views.values()) if options.refine_intrinsics
+    }
+
     def run(start: gtsam.Values) -> Minimisation:
-        return minimise(graph, start, eps=options.eps, max_iterations=options.max_iterations, least_gain=_LEAST_GAIN)
+        return minimise_many_frames(
+            graph, start, shared, eps=options.eps, max_iterations=options.max_iterations, least_gain=_LEAST_GAIN
+        )
 
     found = run(as_stated)
     if not (found.stuck and options.refine_intrinsics):

@@ -122,7 +122,7 @@ def reprojection_graph(
     return graph
 
 
-_LARGEST_DAMPING, _SHORT_STEPS_DAMPING = 1e9, 1e-2
+_LARGEST_DAMPING = 1e9
 
 
 @dataclass(frozen=True)
@@ -143,26 +143,18 @@ class Minimisation:
 
 
 def minimise(
-    graph: gtsam.NonlinearFactorGraph,
-    values: gtsam.Values,
-    *,
-    eps: float,
-    max_iterations: int,
-    least_gain: float = np.inf,
+    graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, *, eps: float, max_iterations: int
 ) -> Minimisation:
-    """Levenberg-Marquardt until an iteration improves the error E by less than eps (1 + E), and by less than
-    ``least_gain``: of a whitened error, a gain of 1/2 can be a step of a whole sigma.
+    """Levenberg-Marquardt until an iteration improves the error E by less than eps (1 + E).
 
     Damped by the Hessian's diagonal: rad, m, px and distortion coefficients stand side by side in one graph."""
     parameters = gtsam.LevenbergMarquardtParams()
     parameters.setDiagonalDamping(True)
     parameters.setlambdaUpperBound(_LARGEST_DAMPING)
     optimizer = gtsam.LevenbergMarquardtOptimizer(graph, values, parameters)
-    errors = [optimizer.error()]
-    converged = False
+    errors, converged = [optimizer.error()], False
     while len(errors) <= max_iterations and not converged:
         optimizer.iterate()
         errors.append(optimizer.error())
-        converged = not errors[-2] - errors[-1] >= min(eps * (1.0 + errors[-1]), least_gain)
-    stuck = optimizer.lambda_() > _SHORT_STEPS_DAMPING
-    return Minimisation(optimizer.values(), tuple(errors), converged and bool(np.isfinite(errors[-1])), stuck)
+        converged = not errors[-2] - errors[-1] >= eps * (1.0 + errors[-1])
+    return Minimisation(optimizer.values(), tuple(errors), converged and bool(np.isfinite(errors[-1])))

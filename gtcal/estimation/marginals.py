@@ -18,8 +18,12 @@ def joint_information(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, k
     """(P, P) of the variables ``keys``, in their order, all others eliminated. May be singular.
 
     Raises GtcalError where the others are open by themselves."""
-    linear = graph.linearize(values)
-    others = _ordering(sorted(set(values.keys()) - set(keys)))
+    return shared_information(graph.linearize(values), keys)
+
+
+def shared_information(linear: gtsam.GaussianFactorGraph, keys: list[int]) -> FloatArray:
+    """``joint_information`` of a linear graph."""
+    others = _ordering(sorted(set(linear.keyVector()) - set(keys)))
     if others.size():
         try:
             _, linear = linear.eliminatePartialMultifrontal(others)
