@@ -184,9 +184,9 @@ def volume_uncertainty(
     return VolumeUncertainty(used, tuple(calibration.cameras), points_in_ref_m, np.array(sigmas_mm))
 
 
-def image_grid(camera: Camera, across: int) -> tuple[FloatArray, FloatArray]:
-    """Middles of nearly square cells over the image: x (W,) and y (H,) in px."""
-    down = max(round(across * camera.image_height_px / camera.image_width_px), 1)
+def image_grid(camera: Camera, across: int, down: int | None = None) -> tuple[FloatArray, FloatArray]:
+    """Middles of cells over the image: x (W,) and y (H,) in px; nearly square ones unless ``down`` is given."""
+    down = down or max(round(across * camera.image_height_px / camera.image_width_px), 1)
     x_px = (np.arange(across) + 0.5) * camera.image_width_px / across - 0.5
     y_px = (np.arange(down) + 0.5) * camera.image_height_px / down - 0.5
     return x_px, y_px

@@ -9,6 +9,7 @@ from scipy import special
 
 from gtcal.camera import Camera, FloatArray
 from gtcal.recordings.detections import IntArray
+from gtcal.uncertainty.coverage import image_coverage
 from gtcal.verification.blocks import sum_covariance
 from gtcal.verification.verification import Bias, ErrorCurve, ErrorStatistics, HeatMap, Sightings, VerificationOptions
 
@@ -117,14 +118,10 @@ def heat_map(sightings: Sightings, columns: int, rows: int) -> HeatMap:
 
 def coverage(sightings: Sightings, options: VerificationOptions) -> float:
     """Share of the image's cells that the lens can see that hold a sighting."""
-    columns, rows = options.coverage_columns, options.coverage_rows
-    camera = sightings.camera
-    x = (np.arange(columns) + 0.5) / columns * camera.image_width_px - 0.5
-    y = (np.arange(rows) + 0.5) / rows * camera.image_height_px - 0.5
-    middles = np.stack([a.ravel() for a in np.meshgrid(x, y)], axis=1)
-    _, visible = camera.unproject(middles)
-    touched = np.bincount(_cells(camera, sightings.image_centre_px, columns, rows), minlength=rows * columns) > 0
-    return float((touched & visible).sum() / max(int(visible.sum()), 1))
+    found = image_coverage(
+        sightings.camera, sightings.image_centre_px, across=options.coverage_columns, down=options.coverage_rows
+    )
+    return found.share
 
 
 def _cells(camera: Camera, pixels_px: FloatArray, columns: int, rows: int) -> IntArray:
