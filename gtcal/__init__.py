@@ -23,6 +23,9 @@ if TYPE_CHECKING:
     from gtcal.results.calibration import Calibration as Calibration
     from gtcal.results.calibration_file import read_calibration as read_calibration
     from gtcal.results.calibration_file import write_calibration as write_calibration
+    from gtcal.selfchecks.selfcheck import SelfCheck as SelfCheck
+    from gtcal.selfchecks.selfcheck import selfcheck as selfcheck
+    from gtcal.selfchecks.selfcheck_file import write_selfcheck as write_selfcheck
     from gtcal.verification.drift import Drift as Drift
     from gtcal.verification.drift import verify_series as verify_series
     from gtcal.verification.lollypop_recording import LollypopRecording as LollypopRecording
@@ -59,6 +62,9 @@ _HOMES = {
     "Recording": "recordings.recording",
     "load_recording": "recordings.recording",
     "write_recording": "recordings.recording",
+    "SelfCheck": "selfchecks.selfcheck",
+    "selfcheck": "selfchecks.selfcheck",
+    "write_selfcheck": "selfchecks.selfcheck_file",
     "calibrate": "workflow",
     "detected": "workflow",
 }

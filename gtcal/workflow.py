@@ -28,8 +28,7 @@ def calibrate(
     in common, or files that contradict each other (DisagreementError, with the likely mistake if one is found)."""
     options = options or CalibrationOptions()
     recording = detected(recording, progress=progress)
-    observations = synchronise(recording)
-    observations, reports = _with_intrinsics(observations, options, progress)
+    observations, reports = prepared(recording, options, progress=progress)
     try:
         return calibrate_observations(
             observations, options, progress=progress, inputs=recording.inputs, earlier=reports
@@ -37,6 +36,15 @@ def calibrate(
     except DisagreementError as error:
         hint = likely_mistake(observations, seed=options.seed, max_views=options.pnp_views)
         raise DisagreementError(error.angle_deg, hint) from error
+
+
+def prepared(
+    recording: Recording, options: CalibrationOptions, *, progress: Progress = silent
+) -> tuple[Observations, tuple[StageReport, ...]]:
+    """The recording's synchronised views, detected where they are images, with intrinsics found where the options ask
+    for it; and what that took."""
+    observations = synchronise(detected(recording, progress=progress))
+    return _with_intrinsics(observations, options, progress)
 
 
 def detected(recording: Recording, *, progress: Progress = silent, redo: bool = False) -> Recording:

@@ -9,7 +9,7 @@ import tyro
 
 if TYPE_CHECKING:
     from factors import RobustKernel
-    from gtcal.estimation.options import MocapSigmas
+    from gtcal.estimation.options import IntrinsicsMode, MocapSigmas
     from gtcal.progress import Progress
     from gtcal.recordings.recording import Recording
     from gtcal.results.calibration import Calibration
@@ -99,19 +99,13 @@ def calibrate(
     """
     from gtcal.cli.progress import shown_progress
     from gtcal.cli.tables import print_calibration
-    from gtcal.estimation.options import CalibrationOptions, IntrinsicsMode
+    from gtcal.estimation.options import CalibrationOptions
     from gtcal.recordings.recording import load_recording
     from gtcal.results.calibration_file import write_calibration
     from gtcal.workflow import calibrate as run
 
-    modes: dict[tuple[bool, bool], IntrinsicsMode] = {
-        (False, False): "fixed",
-        (True, False): "calibrate",
-        (False, True): "refine",
-        (True, True): "calibrate+refine",
-    }
     options = CalibrationOptions(
-        intrinsics=modes[calibrate_intrinsics, refine_intrinsics],
+        intrinsics=intrinsics_mode(calibrate=calibrate_intrinsics, refine=refine_intrinsics),
         intrinsics_prior=intrinsics_prior,
         focal_sigma_px=focal_sigma_px,
         centre_sigma_px=centre_sigma_px,
@@ -137,6 +131,13 @@ def calibrate(
         notes = [note for images in loaded.images.values() for note in images.notes]
         print_calibration(calibration, notes=notes, verbose=verbose)
         print(f"written: {output}" + (f", {report}" if report is not None else ""))
+
+
+def intrinsics_mode(*, calibrate: bool, refine: bool) -> IntrinsicsMode:
+    """What --calibrate-intrinsics and --refine-intrinsics mean together."""
+    if refine:
+        return "calibrate+refine" if calibrate else "refine"
+    return "calibrate" if calibrate else "fixed"
 
 
 def _mocap(sigma_mm: float | None, sigma_deg: float | None) -> MocapSigmas | None:

@@ -14,12 +14,13 @@ from factors.rigid import inverse
 from gtcal.camera import FloatArray
 from gtcal.recordings.recording import Recording
 from gtcal.results.calibration import Calibration, StageReport, pose_difference
-from gtcal.results.covariance import ERRORS_IN_VARIABLES, NAIVE
+from gtcal.results.covariance import CLUSTERED, ERRORS_IN_VARIABLES, NAIVE
 from gtcal.simulation import GroundTruth
 
 _COVARIANCES = {
     NAIVE: "of pixel noise alone; too small where the mocap is noisy",
-    ERRORS_IN_VARIABLES: "of pixel noise and of the mocap noise given",
+    CLUSTERED: "by how whole frames scatter, the mocap's errors with them (sandwich)",
+    ERRORS_IN_VARIABLES: "of pixel noise and of the mocap's noise",
 }
 
 
@@ -35,7 +36,7 @@ def print_calibration(calibration: Calibration, *, notes: Sequence[str] = (), ve
 
 def fit_table(calibration: Calibration) -> Table:
     """A row per camera: how well it fits, and from how much."""
-    table = _table("reprojection residuals, px")
+    table = new_table("reprojection residuals, px")
     for heading in ("RMSE", "median", "95 %", "worst", "views", "corners", "left out"):
         table.add_column(heading, justify="right")
     for name, camera in calibration.cameras.items():
@@ -47,7 +48,7 @@ def fit_table(calibration: Calibration) -> Table:
 
 def pose_table(calibration: Calibration) -> Table:
     """A row per camera and one for the board: where it is, and how sure that is."""
-    table = _table("where they are", caption=f"1-sigma: {_COVARIANCES[calibration.covariance_kind]}")
+    table = new_table("where they are", caption=f"1-sigma: {_COVARIANCES[calibration.covariance_kind]}")
     for heading in ("position, mm", "in", "1-sigma, mm", "deg"):
         table.add_column(heading, justify="left" if heading == "in" else "right")
     for name, camera in calibration.cameras.items():
@@ -60,7 +61,8 @@ def pose_table(calibration: Calibration) -> Table:
     return table
 
 
-def _table(title: str, *, caption: str | None = None) -> Table:
+def new_table(title: str, *, caption: str | None = None) -> Table:
+    """An empty table in the house's style; its first column is for the rows' names."""
     table = Table(
         box=box.SIMPLE_HEAD,
         collapse_padding=True,
@@ -88,7 +90,7 @@ def _count(number: int, what: str) -> str:
 
 def stage_table(stages: Sequence[StageReport]) -> Table:
     """A row per stage."""
-    table = _table("stages")
+    table = new_table("stages")
     for heading in ("steps", "error", "after"):
         table.add_column(heading, justify="right")
     table.add_column("unit")
@@ -119,7 +121,7 @@ def _dropped_lines(calibration: Calibration) -> list[Text]:
 
 def detection_table(recording: Recording) -> Table:
     """A row per camera: how much of the board its images show."""
-    table = _table("the board in the images")
+    table = new_table("the board in the images")
     for heading in ("images", "with board", "corners", "median per view", "of board"):
         table.add_column(heading, justify="right")
     for name, detections in recording.detections.items():
@@ -146,7 +148,7 @@ def _number(value: float) -> str:
 
 def print_errors(calibration: Calibration, truth: GroundTruth) -> None:
     """Print how far a calibration of a simulated recording is from the truth."""
-    table = _table("difference from the truth")
+    table = new_table("difference from the truth")
     for heading in ("position, mm", "rotation, deg"):
         table.add_column(heading, justify="right")
     for name, camera in calibration.cameras.items():

@@ -6,9 +6,9 @@ from gtcal.estimation.errors_in_variables import MocapNoiseFit
 from gtcal.estimation.mocap_noise import Whiteness
 from gtcal.results.calibration import MocapNoise
 
-WORSE, WORSE_SIGMAS = 1.01, 2.0
-"""Stage 4 has not earned its place where its hold-out error is over 1 % larger than stage 3's, and that by over two
-standard errors: it then takes for noise what is systematic."""
+WORSE, WORSE_SIGMAS = 1.01, 1.0
+"""Stage 4 has not earned its place where its hold-out error is over 1 % larger than stage 3's, and that by over one
+standard error: it then takes for noise what is systematic."""
 
 NOT_WHITE, NOT_CHANCE = 0.4, 4.0
 """Innovations are not white where their correlation from frame to frame is over 0.4 and over 4 sigma of chance."""

@@ -74,7 +74,7 @@ def _document(calibration: Calibration) -> dict[str, Any]:
         "mocap_noise": _mocap_noise_document(calibration.mocap_noise),
         "stages": [_without_nan(asdict(stage)) for stage in calibration.stages],
         "dropped": [asdict(dropped) for dropped in calibration.dropped],
-        "provenance": _provenance_document(calibration.provenance),
+        "provenance": provenance_document(calibration.provenance),
     }
 
 
@@ -113,7 +113,7 @@ def _pose_document(pose: PoseEstimate) -> dict[str, Any]:
     }
 
 
-def _provenance_document(provenance: Provenance) -> dict[str, Any]:
+def provenance_document(provenance: Provenance) -> dict[str, Any]:
     inputs = [{"path": str(entry.path), "sha256": entry.sha256} for entry in provenance.inputs]
     return asdict(provenance) | {"inputs": inputs, "command_line": list(provenance.command_line)}
 

@@ -1,0 +1,111 @@
+"""Two calibrations from two halves of a recording: do they differ by more than their covariances say?"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import gtsam
+import numpy as np
+from scipy.stats import chi2
+
+from factors.rigid import inverse
+from gtcal.camera import FloatArray
+from gtcal.errors import GtcalError
+from gtcal.results.calibration import Calibration, pose_difference
+from gtcal.results.covariance import JointCovariance
+
+UNLIKELY = 0.01
+"""Halves that differ by more than chance lets one recording in a hundred."""
+
+
+@dataclass(frozen=True)
+class Difference:
+    """Between the halves, of a camera's pose (``camera``), its intrinsics, the board's pose, or all of it.
+
+    distance2: squared, in units of the sum of the covariances; dof: its degrees of freedom.
+    position_mm, angle_deg: of a pose, else NaN."""
+
+    what: str
+    distance2: float
+    dof: int
+    position_mm: float = float("nan")
+    angle_deg: float = float("nan")
+
+    @property
+    def probability(self) -> float:
+        """Of a difference as large or larger, were the covariances true."""
+        return float(chi2.sf(self.distance2, self.dof))
+
+    @property
+    def per_dof(self) -> float:
+        """1, where the covariances are true."""
+        return self.distance2 / self.dof
+
+
+@dataclass(frozen=True)
+class SplitHalf:
+    """overall: of all unknowns jointly. by_unknown: of each alone."""
+
+    overall: Difference
+    by_unknown: tuple[Difference, ...]
+
+    @property
+    def agrees(self) -> bool:
+        return self.overall.probability >= UNLIKELY
+
+    @property
+    def statement(self) -> str:
+        """The outcome in a sentence."""
+        found = f"the halves differ by {np.sqrt(self.overall.per_dof):.2f} of what their covariances let expect"
+        if self.agrees:
+            return f"{found}: they agree"
+        worst = max(self.by_unknown, key=lambda difference: difference.per_dof)
+        return (
+            f"{found} (chance of that: {self.overall.probability:.1g}), {worst.what} most: something moved or drifted "
+            "during the recording, or errs systematically, and the stated sigmas are too small"
+        )
+
+
+def split_half(first: Calibration, second: Calibration) -> SplitHalf:
+    """Compare the calibrations of two halves of the same recording.
+
+    Raises GtcalError where one has no covariance."""
+    if first.covariance is None or second.covariance is None:
+        raise GtcalError("half of the recording leaves a direction open: record longer")
+    sum_of = first.covariance.matrix + second.covariance.matrix
+    unknowns = list(_deviations(first, second, first.covariance))
+    by_unknown = tuple(_difference(what, xi, sum_of[columns, columns], first, second) for what, columns, xi in unknowns)
+    return SplitHalf(_difference("all", np.concatenate([xi for *_, xi in unknowns]), sum_of, first, second), by_unknown)
+
+
+def _deviations(
+    first: Calibration, second: Calibration, joint: JointCovariance
+) -> Iterator[tuple[str, slice, FloatArray]]:
+    """Each unknown, its columns in the joint covariance, and xi with first * Exp(xi) = second."""
+    yield "board", joint.columns_of_body_T_board, _xi(first.body_T_board.a_T_b, second.body_T_board.a_T_b)
+    for name, camera in first.cameras.items():
+        other = second.cameras[name]
+        xi = _xi(camera.camera_T_ref.a_T_b, other.camera_T_ref.a_T_b)
+        yield name, joint.columns_of_camera_T_ref(name), xi
+    for name, camera in first.cameras.items():
+        if joint.theta_sizes[name]:
+            theta = second.cameras[name].camera.theta - camera.camera.theta
+            yield f"intrinsics of {name}", joint.columns_of_theta(name), theta
+
+
+def _xi(first_T: FloatArray, second_T: FloatArray) -> FloatArray:
+    return np.asarray(gtsam.Pose3.Logmap(gtsam.Pose3(inverse(first_T) @ second_T)))
+
+
+def _difference(
+    what: str, xi: FloatArray, covariance: FloatArray, first: Calibration, second: Calibration
+) -> Difference:
+    scale = 1.0 / np.sqrt(np.diag(covariance))
+    distance2 = float((xi * scale) @ np.linalg.solve(covariance * np.outer(scale, scale), xi * scale))
+    if what == "board":
+        return Difference(what, distance2, 6, *pose_difference(first.body_T_board.a_T_b, second.body_T_board.a_T_b))
+    if what in first.cameras:
+        poses = (inverse(found.cameras[what].camera_T_ref.a_T_b) for found in (first, second))
+        return Difference(what, distance2, 6, *pose_difference(*poses))
+    return Difference(what, distance2, len(xi))
