@@ -1,12 +1,15 @@
-"""Priors on the intrinsics theta, a vector variable."""
+"""Priors: on the intrinsics theta, a vector variable, and on poses or chains of them."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 import gtsam
 import numpy as np
 import numpy.typing as npt
 
 from factors.camera_models import CameraModel
+from factors.reprojection import FloatArray, Jacobians
 
 
 def weak_intrinsics_prior(
@@ -43,3 +46,39 @@ def factory_intrinsics_prior(
     if not (sigmas > 0.0).all():
         raise ValueError(f"{sigmas=}, expected positive standard deviations")
     return gtsam.PriorFactorVector(theta_key, theta, gtsam.noiseModel.Diagonal.Precisions(1.0 / sigmas**2))
+
+
+class PoseMeasurementFactor(gtsam.CustomFactor):
+    """A pose measured directly: diag(weights) Log(measured^-1 pose), the components along the axes of the pose's own
+    frame (its right tangent), rotation first.
+
+    pose: of a chain of one or two Pose3 variables, each as it is or inverted: (key, inverted) in order.
+    weights: (6,) 1/sigma of each component, in 1/rad and 1/m; 0 leaves it free.
+
+    Raises ValueError for a weight below zero."""
+
+    def __init__(
+        self,
+        pose: Sequence[tuple[int, bool]],
+        measured: npt.NDArray[np.float64],
+        weights: npt.NDArray[np.float64],
+    ) -> None:
+        if weights.shape != (6,) or not (weights >= 0.0).all():
+            raise ValueError(f"{weights=}, expected (6,) of zero or more")
+        inverse_measured = gtsam.Pose3(measured).inverse()
+
+        def residual(factor: gtsam.CustomFactor, values: gtsam.Values, jacobians: Jacobians) -> FloatArray:
+            variables = [values.atPose3(key) for key, _ in pose]
+            links = [T.inverse() if inverted else T for T, (_, inverted) in zip(variables, pose, strict=True)]
+            after = [gtsam.Pose3()]  # what follows each link in the chain
+            for link in links[:0:-1]:
+                after.insert(0, link.compose(after[0]))
+            xi = gtsam.Pose3.Logmap(inverse_measured.compose(links[0]).compose(after[0]))
+            if jacobians is not None:
+                along = weights[:, None] * gtsam.Pose3.LogmapDerivative(xi)
+                for i, (T, (_, inverted)) in enumerate(zip(variables, pose, strict=True)):
+                    carried = after[i].inverse().AdjointMap()
+                    jacobians[i] = np.asfortranarray(-along @ carried @ T.AdjointMap() if inverted else along @ carried)
+            return np.asarray(weights * xi)
+
+        super().__init__(None, [key for key, _ in pose], residual)  # type: ignore[call-overload]

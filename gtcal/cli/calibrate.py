@@ -43,6 +43,8 @@ def calibrate(
     distortion_sigma: float = 0.01,
     kernel: KernelName = "Null",
     kernel_parameter: float | None = None,
+    graduated: bool = False,
+    priors: Path | None = None,
     sigma_px: float | None = None,
     mocap_noise: Literal["estimate", "exact"] = "estimate",
     mocap_sigma_mm: float | None = None,
@@ -79,6 +81,11 @@ def calibrate(
         distortion_sigma: 1-sigma of every distortion coefficient for the prior 'stated'.
         kernel: Robust kernel of stage 3, by its name in gtsam.noiseModel.mEstimator, on each corner's whitened norm.
         kernel_parameter: Its parameter in sigmas; by default the kernel's usual one.
+        graduated: Begin stage 3 with a kernel so wide that nothing is an outlier and narrow it step by step
+            (graduated non-convexity), for many outliers; with --kernel GemanMcClure or TruncatedLeastSquares, and
+            --no-screen where screening by medians would fail.
+        priors: YAML file of what is known beforehand, with sigmas: of the board in its body, of cameras in the rig
+            or in each other's frames, of intrinsics (see the README).
         sigma_px: Standard deviation of a corner's coordinate; by default estimated from the residuals.
         mocap_noise: 'estimate': stage 4 estimates the mocap's noise from the recording and models it, for a more
             accurate estimate and a covariance that is true; stage 3's is taken where it predicts held-out frames
@@ -100,6 +107,8 @@ def calibrate(
     from gtcal.cli.progress import shown_progress
     from gtcal.cli.tables import print_calibration
     from gtcal.estimation.options import CalibrationOptions
+    from gtcal.estimation.priors import Priors
+    from gtcal.estimation.priors_file import read_priors
     from gtcal.recordings.recording import load_recording
     from gtcal.results.calibration_file import write_calibration
     from gtcal.workflow import calibrate as run
@@ -111,6 +120,8 @@ def calibrate(
         centre_sigma_px=centre_sigma_px,
         distortion_sigma=distortion_sigma,
         robust=_kernel(kernel, kernel_parameter),
+        graduated=graduated,
+        priors=read_priors(priors) if priors is not None else Priors(),
         sigma_px=sigma_px,
         mocap=_mocap(mocap_sigma_mm, mocap_sigma_deg) or mocap_noise,
         stages=stages,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import gtsam
 import numpy as np
@@ -24,12 +24,16 @@ from gtcal.estimation.graph import (
 from gtcal.estimation.marginals import covariance_of, joint_information
 from gtcal.estimation.observations import Views
 from gtcal.estimation.options import CalibrationOptions
+from gtcal.estimation.priors import prior_factors
 from gtcal.estimation.screening import Screened, keep_all, screen
 from gtcal.progress import Progress, silent
 from gtcal.results.covariance import JointCovariance
 
 MAX_ROUNDS = 6
 """Of screening and solving; two do unless the first estimate was poor."""
+
+NARROWING = 1.4
+"""A kernel's width from step to step of graduated non-convexity: as in Yang et al. (2020)."""
 
 MEDIAN_LENGTH = float(np.sqrt(2.0 * np.log(2.0)))
 """Median length of a 2-D Gaussian vector with unit sigma in each coordinate (Rayleigh)."""
@@ -56,7 +60,8 @@ def adjust(
 ) -> Adjusted:
     """Screen and solve in turns, until the same corners stay."""
     screened = _screened(views, start, options)
-    estimate, sigma_px = start, _sigma_px(screened, options)
+    estimate = _graduated(screened, start, options) if options.graduated else start
+    sigma_px = _sigma_px(screened.under(estimate), options)
     errors: tuple[float, ...] = ()
     for done in range(MAX_ROUNDS):
         progress("stage 3: pixels", done, MAX_ROUNDS)
@@ -69,6 +74,23 @@ def adjust(
             break
     progress("stage 3: pixels", MAX_ROUNDS, MAX_ROUNDS)
     return _adjusted(screened, estimate, sigma_px, options, errors)
+
+
+def _graduated(screened: Screened, start: Estimate, options: CalibrationOptions) -> Estimate:
+    """Where ever narrower kernels lead, from one that takes nothing for an outlier to ``options.robust``."""
+    estimate, widest_px = start, _longest_px(screened)
+    sigma_px = _sigma_px(screened, options)
+    while widest_px > options.robust.parameter * sigma_px:
+        kernel = RobustKernel(options.robust.name, widest_px / sigma_px)
+        estimate, _ = _minimised(screened, estimate, sigma_px, replace(options, robust=kernel, graduated=False))
+        sigma_px = _sigma_px(screened.under(estimate), options)
+        widest_px /= NARROWING
+    return estimate
+
+
+def _longest_px(screened: Screened) -> float:
+    lengths = np.concatenate(list(screened.lengths_px.values()))
+    return float(lengths[np.isfinite(lengths)].max())
 
 
 def not_adjusted(views: Mapping[str, Views], start: Estimate, options: CalibrationOptions) -> Adjusted:
@@ -109,9 +131,18 @@ def _graph(
     screened: Screened, estimate: Estimate, sigma_px: float, options: CalibrationOptions
 ) -> gtsam.NonlinearFactorGraph:
     priors = intrinsics_priors(screened.views, options) if options.refine_intrinsics else None
-    return reprojection_graph(
+    graph = reprojection_graph(
         screened.views, estimate, sigma_px=sigma_px, robust=options.robust, intrinsics_priors=priors
     )
+    add_user_priors(graph, screened.views, options)
+    return graph
+
+
+def add_user_priors(graph: gtsam.NonlinearFactorGraph, views: Mapping[str, Views], options: CalibrationOptions) -> None:
+    """A factor for each of the options' priors."""
+    cameras = {name: of_camera.camera for name, of_camera in views.items()}
+    for _, factor in prior_factors(options.priors, cameras, free_theta=options.refine_intrinsics):
+        graph.add(factor)
 
 
 def intrinsics_priors(views: Mapping[str, Views], options: CalibrationOptions) -> dict[str, IntrinsicsPrior]:
@@ -143,7 +174,7 @@ def _sigma_px(screened: Screened, options: CalibrationOptions) -> float:
 
 def _settled(before_px: float, after_px: float, options: CalibrationOptions) -> bool:
     """Whether another round would change the optimum: plain least squares does not depend on sigma."""
-    independent = options.robust == RobustKernel() and not options.refine_intrinsics
+    independent = options.robust == RobustKernel() and not options.refine_intrinsics and not options.priors
     return independent or abs(after_px - before_px) < 0.02 * before_px
 
 

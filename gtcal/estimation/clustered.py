@@ -1,4 +1,5 @@
-"""The frame-clustered covariance of stage 3: a sandwich, H^-1 (sum g g^T) H^-1, over frames rather than corners.
+"""The frame-clustered covariance of stage 3: a sandwich, H^-1 (sum g g^T + P) H^-1, over frames rather than corners,
+P the information of priors.
 
 What moves all the corners of a frame together (the mocap's noise, above all) makes their residuals alike. The gradients
 g of whole frames scatter by it as they do, and no model of it is needed. Where noise is correlated in time, frames that
@@ -73,7 +74,8 @@ def clustered_covariance(parts: Iterable[FrameMoments], information: FloatArray,
     else:
         gradients *= np.sqrt(len(gradients) / (len(gradients) - 1))
     half = gradients @ root
-    return half.T @ half
+    by_priors = root.T @ root @ information[:-1, :-1] @ root.T @ root
+    return half.T @ half + by_priors
 
 
 def _of_clusters(frames: FrameMoments, correlation_s: float) -> FloatArray:

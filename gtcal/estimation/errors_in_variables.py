@@ -19,7 +19,7 @@ import numpy as np
 from factors.frames import CameraFrames, FramesReprojection
 from factors.mocap_noise import CorrelatedNoiseFactor
 from gtcal.camera import BoolArray, FloatArray
-from gtcal.estimation.adjustment import Adjusted, intrinsics_priors
+from gtcal.estimation.adjustment import Adjusted, add_user_priors, intrinsics_priors
 from gtcal.estimation.estimate import Estimate
 from gtcal.estimation.frame_statistics import FrameMoments, frame_moments, frames_of, in_parts
 from gtcal.estimation.graph import BODY_T_BOARD, Minimisation, camera_T_ref_key, theta_key, to_values, updated
@@ -36,6 +36,7 @@ from gtcal.estimation.mocap_noise import (
 from gtcal.estimation.observations import Dropped, Views
 from gtcal.estimation.options import CalibrationOptions, MocapSigmas
 from gtcal.estimation.residuals import corner_views, select_views
+from gtcal.estimation.screening import screen
 from gtcal.progress import Progress, silent
 from gtcal.recordings.capture import RefMotion
 from gtcal.recordings.detections import IntArray
@@ -64,9 +65,11 @@ def fit_mocap_noise(
 ) -> tuple[Adjusted, MocapNoiseFit] | None:
     """The noise of mocap and pixels at stage 3's estimate, and the views and corners less those of gross frames.
 
-    None where the frames are too few to estimate it from, or where gross ones are to stay: noise does not explain them.
-    """
+    None where the frames are too few to estimate it from, or where gross views, corners or frames are to stay: noise
+    does not explain them."""
     views = adjusted.screened.views
+    if not options.screen and screen(views, adjusted.estimate).dropped(views):
+        return None
     information = prior_information(views, adjusted.estimate, options)
     chosen = spread_blocks(frames_of(views))
     sample = _moments(views, adjusted.estimate, options, options.sigma_px or 1.0, chosen)
@@ -242,6 +245,7 @@ def _priors(views: Mapping[str, Views], options: CalibrationOptions) -> gtsam.No
     if options.refine_intrinsics:
         for index, (name, prior) in enumerate(intrinsics_priors(views, options).items()):
             graph.add(prior.factor(theta_key(index), views[name].camera))
+    add_user_priors(graph, views, options)
     return graph
 
 

@@ -7,6 +7,10 @@ from typing import Literal
 
 from factors import GAUSSIAN, RobustKernel
 from gtcal.errors import GtcalError
+from gtcal.estimation.priors import Priors
+
+REDESCENDING = ("GemanMcClure", "TruncatedLeastSquares", "Tukey", "Welsch", "Cauchy")
+"""Kernels under which what lies far off hardly counts."""
 
 IntrinsicsMode = Literal["fixed", "calibrate", "refine", "calibrate+refine"]
 """fixed: as the recording states them. calibrate: found first, by a plain calibration from the views. refine: solved
@@ -46,6 +50,10 @@ class CalibrationOptions:
     pnp_views: at most this many views per camera guide stages 1 and 2.
     seed: of the random starting rotations.
     allow_degenerate: solve even where the motion cannot determine the result.
+    priors: what is known beforehand of poses and intrinsics.
+    graduated: stage 3 begins with a kernel so wide that nothing is an outlier to it, and narrows it step by step to
+        ``robust`` (graduated non-convexity: Yang et al. 2020; with GemanMcClure it is theirs). For data with so many
+        outliers that screening by medians fails; a redescending kernel is needed, and ``screen`` may be off.
 
     Raises GtcalError for a choice that makes no sense."""
 
@@ -64,6 +72,8 @@ class CalibrationOptions:
     pnp_views: int = 100
     seed: int = 0
     allow_degenerate: bool = False
+    priors: Priors = field(default_factory=Priors)
+    graduated: bool = False
 
     def __post_init__(self) -> None:
         if not self.stages or not set(self.stages) <= {1, 2, 3} or list(self.stages) != sorted(set(self.stages)):
@@ -77,6 +87,11 @@ class CalibrationOptions:
                 raise GtcalError(f"{name}: {getattr(self, name)} is not a positive number")
         if self.sigma_px is not None and not self.sigma_px > 0.0:
             raise GtcalError(f"sigma_px: {self.sigma_px} is not a positive number")
+        if self.graduated and self.robust.name not in REDESCENDING:
+            raise GtcalError(
+                f"graduated non-convexity needs a redescending kernel ({', '.join(REDESCENDING)}), not "
+                f"{self.robust.name!r}"
+            )
         for name, least in (("max_iterations", 1), ("pnp_views", 3), ("seed", 0)):
             if getattr(self, name) < least:
                 raise GtcalError(f"{name}: {getattr(self, name)} is less than {least}")

@@ -19,6 +19,7 @@ from gtcal.estimation.motion import check_turning, turning
 from gtcal.estimation.observations import Dropped, Observations, Views
 from gtcal.estimation.options import CalibrationOptions
 from gtcal.estimation.pnp import solve_pnp
+from gtcal.estimation.priors import contradictions
 from gtcal.estimation.residuals import chain_residuals_px, median_by_view, norms
 from gtcal.files import InputFile
 from gtcal.progress import Progress, silent
@@ -124,7 +125,7 @@ def _motion_warnings(views: Mapping[str, Views], options: CalibrationOptions) ->
     try:
         warning = check_turning(turning(of_camera.ref_T_body for of_camera in views.values()))
     except GtcalError as error:
-        if not options.allow_degenerate:
+        if not (options.allow_degenerate or options.priors.of_poses):
             raise
         warning = str(error)
     return () if warning is None else (warning,)
@@ -136,7 +137,12 @@ def _warnings(
     """The motion is looked at again without the gross views, whose wrong poses would pass for turns."""
     motion = _motion_warnings(adjusted.screened.views, options)
     weak = _weakness_warnings(observations, adjusted, sigmas, options) if 3 in options.stages else ()
-    return (*motion, *_screening_warnings(adjusted), *weak)
+    return (*motion, *_screening_warnings(adjusted), *weak, *_prior_warnings(adjusted, options))
+
+
+def _prior_warnings(adjusted: Adjusted, options: CalibrationOptions) -> tuple[str, ...]:
+    cameras = {name: views.camera for name, views in adjusted.screened.views.items()}
+    return contradictions(options.priors, cameras, adjusted.values, free_theta=options.refine_intrinsics)
 
 
 def _fit_warnings(reports: tuple[StageReport, ...]) -> tuple[str, ...]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import datetime
 import platform
 import sys
-from dataclasses import asdict
+from dataclasses import asdict, is_dataclass
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -26,7 +26,7 @@ def provenance(
         created_utc=datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
         command_line=(Path(sys.argv[0]).name, *sys.argv[1:]),
         versions={"python": platform.python_version()} | {name: _version(name) for name in _LIBRARIES},
-        options=_plain(asdict(options)),
+        options=_plain(options),
         inputs=inputs,
         duration_s=duration_s,
     )
@@ -39,6 +39,12 @@ def _version(library: str) -> str:
         return "not installed as a package"
 
 
-def _plain(options: dict[str, Any]) -> dict[str, Any]:
+def _plain(options: CalibrationOptions | VerificationOptions) -> dict[str, Any]:
     """As JSON knows it: tuples as lists."""
-    return {key: list(value) if isinstance(value, tuple) else value for key, value in options.items()}
+    fields = {name: value for name, value in vars(options).items() if name != "priors"}
+    plain = {name: list(value) if isinstance(value, tuple) else _as_fields(value) for name, value in fields.items()}
+    return plain | ({"priors": options.priors.document()} if isinstance(options, CalibrationOptions) else {})
+
+
+def _as_fields(value: Any) -> Any:
+    return asdict(value) if is_dataclass(value) and not isinstance(value, type) else value
