@@ -74,17 +74,19 @@ def test_with_exact_mocap_the_estimate_is_unbiased_and_the_naive_covariance_true
     nees, whitened = {}, []
     for seed in range(32):
         simulation = simulated.__wrapped__(kind, seed=seed, frames=40, mocap_rate_hz=30.0)
-        calibration = calibrate_observations(with_exact_mocap(simulation), CalibrationOptions(eps=1e-6))
+        options = CalibrationOptions(eps=1e-6, mocap="exact")
+        calibration = calibrate_observations(with_exact_mocap(simulation), options)
+        naive = calibration.covariances[NAIVE]
         poses = {
-            name: (camera.camera_T_ref, simulation.truth.camera_T_ref[name])
+            name: (camera.camera_T_ref.a_T_b, simulation.truth.camera_T_ref[name], naive.camera_T_ref(name))
             for name, camera in calibration.cameras.items()
         }
-        poses["X"] = calibration.body_T_board, simulation.truth.body_T_board
-        for name, (estimate, true_T) in poses.items():
-            xi = deviation(estimate.a_T_b, true_T)
-            factor = np.linalg.cholesky(np.linalg.inv(estimate.covariance))
+        poses["X"] = calibration.body_T_board.a_T_b, simulation.truth.body_T_board, naive.body_T_board
+        for name, (found_T, true_T, covariance) in poses.items():
+            xi = deviation(found_T, true_T)
+            factor = np.linalg.cholesky(np.linalg.inv(covariance))
             whitened.append(factor.T @ xi)
-            nees.setdefault(name, []).append(xi @ np.linalg.solve(estimate.covariance, xi) / 6)
+            nees.setdefault(name, []).append(xi @ np.linalg.solve(covariance, xi) / 6)
         assert calibration.sigma_px == pytest.approx(0.1, rel=0.03)
         assert calibration.dropped == ()
     assert all(0.8 < np.mean(of_variable) < 1.2 for of_variable in nees.values()), nees
@@ -336,6 +338,22 @@ def test_every_kernel_solves(name: str) -> None:
     assert mm < 0.3
     assert deg < 0.03
     assert calibration.sigma_px == pytest.approx(0.12, rel=0.25)
+
+
+def test_graduated_non_convexity_finds_its_way_through_forty_percent_of_wrong_corners() -> None:
+    """Without screening; from a wide kernel to a narrow one, where the narrow one alone need not."""
+    corners = CornerNoise(wrong_corner_share=0.4)
+    for name in ("GemanMcClure", "TruncatedLeastSquares"):
+        for seed in range(2):
+            simulation = simulated(HEADSET, seed=seed, mocap=GOOD_MOCAP, corners=corners)
+            found = calibrated(simulation, screen=False, robust=RobustKernel.named(name), graduated=True)
+            mm, deg = worst(errors(found, simulation).values())
+            assert (mm < 0.5, deg < 0.05) == (True, True), (name, seed, mm, deg)
+
+
+def test_graduated_non_convexity_needs_a_redescending_kernel() -> None:
+    with pytest.raises(GtcalError, match=r"needs a redescending kernel .* not 'Huber'"):
+        CalibrationOptions(graduated=True, robust=RobustKernel.named("Huber"))
 
 
 # Stages, as in the paper's ablation
