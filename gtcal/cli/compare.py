@@ -1,0 +1,102 @@
+"""gtcal compare: other methods on the same recording."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from gtcal.baselines.compare import Compared
+
+
+def compare(
+    recording: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="RECORDING")],
+    *,
+    lollypop: Path | None = None,
+    measured_x: Path | None = None,
+    markers: Path | None = None,
+    output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None,
+    calibrate_intrinsics: bool = False,
+    seed: int = 0,
+    quiet: Annotated[bool, tyro.conf.arg(aliases=["-q"])] = False,
+) -> None:
+    """Calibrate a recording by the joint solution and by other methods, and compare.
+
+    The paper's three stages without the mocap's noise; the closed forms of Tsai-Lenz, Park-Martin and Shah and the
+    nonlinear method of Dornaika-Horaud, all from PnP poses; Sturm's with a measured board-to-body transform; and P3P on
+    retroreflective markers seen in the image. Judged by the reprojection RMSE on the board's views that the joint
+    solution keeps and, much better, by a second recording of the Lollypop.
+
+    Args:
+        recording: Folder with the manifest (recording.yaml or recording.json), or the manifest itself.
+        lollypop: Recording of the Lollypop to judge by.
+        measured_x: For Sturm's method: YAML file that states body_T_board as measured by hand (a file of priors,
+            see 'gtcal calibrate --help'; its sigmas are not used).
+        markers: CSV file of markers seen in the images: columns camera, stamp_ns, x_px, y_px, and the marker's position
+            in the mocap's world, x_m, y_m, z_m.
+        output: JSON file to write.
+        calibrate_intrinsics: As for 'gtcal calibrate'.
+        seed: Of the random numbers.
+        quiet: Show no progress and print nothing.
+    """
+    from rich.console import Console
+
+    from gtcal.baselines.compare import compare as run
+    from gtcal.baselines.compare import compare_markers
+    from gtcal.baselines.compare_file import write_comparison
+    from gtcal.cli.calibrate import intrinsics_mode
+    from gtcal.cli.progress import shown_progress
+    from gtcal.errors import GtcalError
+    from gtcal.estimation.options import CalibrationOptions
+    from gtcal.estimation.priors_file import read_priors
+    from gtcal.recordings.recording import load_recording
+    from gtcal.verification.lollypop_recording import load_lollypop_recording
+
+    body_T_board = None
+    if measured_x is not None:
+        prior = read_priors(measured_x).body_T_board
+        if prior is None:
+            raise GtcalError(f"{measured_x}: states no body_T_board, which Sturm's method needs")
+        body_T_board = prior.a_T_b
+    options = CalibrationOptions(intrinsics=intrinsics_mode(calibrate=calibrate_intrinsics, refine=False), seed=seed)
+    loaded = load_recording(recording)
+    device = load_lollypop_recording(lollypop) if lollypop is not None else None
+    with shown_progress(quiet) as progress:
+        found = run(loaded, device, options, measured_body_T_board=body_T_board, progress=progress)
+        if markers is not None:
+            found += (compare_markers(markers, loaded, found[0], device, seed=seed),)
+    if output is not None:
+        write_comparison(output, found)
+    if quiet:
+        return
+    console = Console()
+    console.print(_table(found))
+    for failed in (row for row in found if row.failure):
+        console.print(f"{failed.method}: {failed.failure}", highlight=False, markup=False)
+    if body_T_board is None:
+        console.print("Sturm's method is left out: it needs --measured-x", highlight=False, markup=False)
+    if output is not None:
+        console.print(f"written: {output}", highlight=False, markup=False)
+
+
+def _table(found: tuple[Compared, ...]) -> Table:
+    from gtcal.cli.tables import new_table
+
+    table = new_table(
+        "methods on the same recording",
+        caption="px: RMSE; mm, deg: how far the farthest camera is from the joint solution",
+    )
+    for heading in ("board, px", "Lollypop, px", "mm", "deg", "s"):
+        table.add_column(heading, justify="right")
+    for row in found:
+        if row.failure:
+            table.add_row(row.method, "failed", "", "", "", f"{row.duration_s:.2f}")
+            continue
+        lollypop = "-" if row.lollypop_rmse_px is None else f"{row.lollypop_rmse_px:.3f}"
+        difference = f"{row.difference_mm:.3f}", f"{row.difference_deg:.4f}"
+        table.add_row(row.method, f"{row.board_rmse_px:.3f}", lollypop, *difference, f"{row.duration_s:.2f}")
+    return table
