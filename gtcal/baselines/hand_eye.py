@@ -86,7 +86,7 @@ def _with_translation(rotation: FloatArray, A: FloatArray, B: FloatArray) -> Flo
     """X with (R_A - I) t_X = R_X t_B - t_A in least squares."""
     rows = (A[:, :3, :3] - np.eye(3)).reshape(-1, 3)
     right = (B[:, :3, 3] @ rotation.T - A[:, :3, 3]).ravel()
-    return _rigid(rotation, np.linalg.lstsq(rows, right, rcond=None)[0])
+    return _rigid(rotation, np.linalg.lstsq(rows, right, rcond=None)[0].astype(np.float64))
 
 
 def _half_sine_axes(rotations: FloatArray) -> FloatArray:

@@ -1,0 +1,98 @@
+"""The paper's first table: ours against Sturm et al., per camera, on the board and on the Lollypop.
+
+Five simulated recordings of a headset with four fisheyes, and for each an independent recording of the Lollypop. For
+Sturm's method the board-to-body transform X is measured by hand: off by 2 mm and 0.5 deg, 1-sigma of each component.
+
+    python scripts/table1_benchmark.py                    # a minute on two cores
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+
+import gtsam
+import numpy as np
+from rich.console import Console
+from rich.progress import Progress
+from rich.table import Table
+
+from gtcal.baselines.compare import JOINT, PAPER, STURM, compare
+from gtcal.simulation import MocapNoise, SimulationOptions, simulate
+from gtcal.simulation.lollypop import LollypopOptions, simulate_lollypop
+from gtcal.verification.workflow import verify
+
+NOISE = MocapNoise(translation_mm=0.1, rotation_deg=0.01, correlation_s=0.1)
+METHODS = (JOINT, PAPER, *STURM)
+
+
+@dataclass(frozen=True)
+class HandMeasurement:
+    """How well a person measures X with ruler and protractor, 1-sigma of each component."""
+
+    mm: float = 2.0
+    deg: float = 0.5
+
+    def of(self, true_T: np.ndarray, seed: int) -> np.ndarray:
+        """A measurement of it."""
+        xi = np.random.default_rng([seed, 7]).standard_normal(6)
+        sigmas = np.repeat([np.deg2rad(self.deg), 1e-3 * self.mm], 3)
+        return np.asarray(true_T @ gtsam.Pose3.Expmap(sigmas * xi).matrix())
+
+
+def outcome(seed: int) -> dict[str, dict[str, tuple[float, float]]]:
+    """By method, by camera: board and Lollypop RMSE in px."""
+    simulation = simulate(SimulationOptions(mocap=NOISE), seed=seed)
+    options = LollypopOptions(mocap=NOISE, calibrated_in=simulation.scene)
+    lollypop = simulate_lollypop(options, seed=seed + 1_000).recording
+    measured = HandMeasurement().of(simulation.truth.body_T_board, seed)
+    found = {}
+    for row in compare(simulation.recording, measured_body_T_board=measured):
+        if row.method not in METHODS or row.calibration is None:
+            continue
+        checked = verify(lollypop, row.calibration).cameras
+        found[row.method] = {
+            name: (camera.residuals.rmse_px, checked[name].px.rmse) for name, camera in row.calibration.cameras.items()
+        }
+    return found
+
+
+def tables(found: list[dict[str, dict[str, tuple[float, float]]]]) -> list[Table]:
+    """Board, then Lollypop: mean and standard deviation over the recordings, a column for each camera."""
+    cameras = list(found[0][JOINT])
+    made = []
+    for column, what in enumerate(("board", "Lollypop")):
+        table = Table(title=f"{what} RMSE, px: mean ± standard deviation over {len(found)} recordings")
+        table.add_column("")
+        for name in cameras:
+            table.add_column(name, justify="right")
+        table.add_column("published", justify="right")
+        for method in METHODS:
+            values = [[result[method][name][column] for result in found] for name in cameras]
+            cells = (f"{np.mean(of_camera):.3f} ± {np.std(of_camera, ddof=1):.3f}" for of_camera in values)
+            table.add_row(method, *cells, "not at hand")
+        made.append(table)
+    return made
+
+
+def study(recordings: int, seed: int, workers: int | None) -> list[dict[str, dict[str, tuple[float, float]]]]:
+    with ProcessPoolExecutor(workers) as pool, Progress(console=Console(stderr=True)) as progress:
+        seeds = range(seed, seed + recordings)
+        return list(progress.track(pool.map(outcome, seeds), total=recordings, description="recordings"))
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--recordings", type=int, default=5)
+    parser.add_argument("--seed", type=int, default=50_000, help="of the first")
+    parser.add_argument("--workers", type=int, default=os.cpu_count())
+    arguments = parser.parse_args()
+    console = Console(width=120)
+    for table in tables(study(arguments.recordings, arguments.seed, arguments.workers)):
+        console.print(table)
+
+
+if __name__ == "__main__":
+    main()
