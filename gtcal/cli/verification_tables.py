@@ -22,7 +22,8 @@ def print_verification(verification: Verification, *, verbose: bool = False) -> 
     """Print the verdict, a table per camera and the findings; ``verbose`` adds what was left out and why."""
     parts: list[RenderableType] = [Text(_WORDS[verification.verdict], style=_STYLES[verification.verdict])]
     parts += [Text(f"  {reason}") for reason in verification.reasons]
-    parts += [_table(verification), *_findings(verification), *_depth_lines(verification)]
+    parts += [_table(verification), *_findings(verification), *_expected_lines(verification)]
+    parts += _depth_lines(verification)
     if verbose:
         parts += [_bias_line(camera) for camera in verification.cameras.values()]
         parts += [Text(f"left out of {left.camera}: {left.count}: {left.reason}") for left in verification.left_out]
@@ -70,6 +71,14 @@ def _bias_line(camera: CameraVerification) -> Text:
         f"bias of {camera.camera}, px: x {x:+.3f} ± {dx:.3f}, y {y:+.3f} ± {dy:.3f}, outwards {bias.radial_px:+.3f} ± "
         f"{bias.radial_half_width_px:.3f}, around {bias.tangential_px:+.3f} ± {bias.tangential_half_width_px:.3f}"
     )
+
+
+def _expected_lines(verification: Verification) -> list[Text]:
+    return [
+        Text(f"{name}: {camera.expected.statement}", style="" if camera.expected.agrees else "yellow")
+        for name, camera in verification.cameras.items()
+        if camera.expected is not None
+    ]
 
 
 def _findings(verification: Verification) -> list[Text]:

@@ -278,12 +278,41 @@ class HeatMap:
 
 
 @dataclass(frozen=True)
+class ExpectedError:
+    """A camera's systematic error against what the calibration's covariance lets expect.
+
+    predicted_px: RMS over the sightings of what the covariance says of their pixels.
+    observed_px, observed_sigma_px: RMS of the error that a small motion of the camera explains, and how sure that is.
+    normalised: its distance from none, in units of both covariances per degree of freedom; about 1 where they hold.
+    p_value: of one as large or larger, were the covariance true. agrees: that is 1 % or more."""
+
+    predicted_px: float
+    observed_px: float
+    observed_sigma_px: float
+    normalised: float
+    p_value: float
+    agrees: bool
+
+    @property
+    def statement(self) -> str:
+        """For people."""
+        found = (
+            f"systematic error {self.observed_px:.2g} px (known to {self.observed_sigma_px:.2g}), "
+            f"{self.predicted_px:.2g} px expected of its covariance"
+        )
+        if self.agrees:
+            return f"{found}: agrees"
+        return f"{found}: larger than its covariance explains (drift, or an error of the model)"
+
+
+@dataclass(frozen=True)
 class CameraVerification:
     """One camera's errors and its verdict.
 
     reasons: why it is not a pass, one line each; empty for a pass.
     n_frames: images of the camera, or where it has none the distinct stamps of all cameras.
-    coverage: share of the image's cells that the lens can see that hold a sighting."""
+    coverage: share of the image's cells that the lens can see that hold a sighting.
+    expected: None for a calibration without a covariance, or with too little data."""
 
     camera: str
     verdict: Verdict
@@ -296,6 +325,7 @@ class CameraVerification:
     coverage: float
     curves: tuple[ErrorCurve, ...]
     heat_map: HeatMap
+    expected: ExpectedError | None = None
 
 
 @dataclass(frozen=True)

@@ -22,6 +22,7 @@ from gtcal.verification.verification import (
     CameraVerification,
     ErrorCurve,
     ErrorStatistics,
+    ExpectedError,
     Fault,
     HeatMap,
     LeftOut,
@@ -139,6 +140,7 @@ def _camera(block: Mapping[str, Any]) -> CameraVerification:
             "bias": Bias(**{name: _numbers(value) for name, value in block["bias"].items()}),
             "curves": tuple(_curve(curve) for curve in block["curves"]),
             "heat_map": _heat_map(block["heat_map"]),
+            "expected": None if block.get("expected") is None else ExpectedError(**block["expected"]),
         }
     )
 

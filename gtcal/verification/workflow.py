@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
@@ -16,6 +17,7 @@ from gtcal.results.provenance import provenance
 from gtcal.verification.blocks import sum_covariance
 from gtcal.verification.depth_checks import check_poses, triangulate
 from gtcal.verification.error_statistics import bias, coverage, curves, error_statistics, heat_map
+from gtcal.verification.expected_error import expected_error
 from gtcal.verification.faults import find_faults
 from gtcal.verification.lollypop_recording import LollypopRecording, detected_lollypop
 from gtcal.verification.plausibility import check_fitting, check_related, check_seen
@@ -69,7 +71,10 @@ def verify(
         left_out += reasons
     progress("comparing the centres", len(names), len(names))
     check_related(paths, recording.device)
-    cameras = {name: _camera(recording, name, seen, frames, options) for name, seen in sightings.items()}
+    cameras = {
+        name: replace(_camera(recording, name, seen, frames, options), expected=expected_error(name, seen, calibration))
+        for name, seen in sightings.items()
+    }
     triangulation, narrow = triangulate(sightings, options)
     absent = [name for name in calibration.cameras if name not in recording.cameras]
     return Verification(
