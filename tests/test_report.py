@@ -24,6 +24,7 @@ from gtcal.report.residual_figures import covered_share
 from gtcal.report.scene import build_scene
 from gtcal.results.calibration import Calibration
 from gtcal.results.calibration_file import read_calibration, write_calibration
+from gtcal.results.covariance import JointCovariance
 from gtcal.simulation import MocapNoise, SimulationOptions, fixed_cameras_rig, simulate, write_simulation
 
 COLOURS = {"cam0": "#0072b2", "cam1": "#d55e00"}
@@ -153,7 +154,7 @@ def test_the_page_says_the_numbers(page: str, calibration: Calibration) -> None:
     for entry in calibration.provenance.inputs:
         assert entry.sha256 in page
     assert "gross view" in page
-    assert page.count("<img ") == 6 * len(calibration.cameras)
+    assert page.count("<img ") == 7 * len(calibration.cameras) + 1
 
 
 def test_every_picture_has_words_for_those_who_do_not_see_it(page: str) -> None:
@@ -170,16 +171,24 @@ def test_warnings_come_before_the_table(calibration: Calibration) -> None:
 
 def test_names_are_text_and_never_markup(calibration: Calibration) -> None:
     name = "</script><img src=x onerror=alert(1)>"
-    odd = replace(calibration, cameras={name: calibration.cameras["cam0"]}, warnings=(f"see {name}",))
+    joint = calibration.covariance
+    renamed = JointCovariance(joint.kind, {name: joint.theta_sizes["cam0"]}, joint.matrix[:12, :12])
+    odd = replace(
+        calibration,
+        cameras={name: calibration.cameras["cam0"]},
+        covariances={joint.kind: renamed},
+        warnings=(f"see {name}",),
+    )
     text = render(odd)
-    assert "<img" not in text
+    assert "<img src=x" not in text
+    assert text.count("<img ") == 2
     assert text.count("</script>") == 2  # the scene's data and the script
 
 
 def test_without_a_recording_the_page_says_what_is_missing(calibration: Calibration) -> None:
     text = render(calibration)
     assert "No recording was given" in text
-    assert "<img" not in text
+    assert text.count("<img ") == len(calibration.cameras) + 1  # how sure it is, which needs no recording
     assert '"boards"' not in text
 
 
@@ -227,7 +236,7 @@ def test_a_long_recording_makes_no_long_page(calibration: Calibration, evidence:
     assert len(long.cameras["cam0"].corners_px) > 200_000
     text = render(calibration, evidence=long)
     assert len(text) < 1.5 * len(page)
-    assert len(text) / len(calibration.cameras) < 0.25e6
+    assert len(text) / len(calibration.cameras) < 0.3e6
 
 
 def test_coverage_is_the_share_of_the_image_with_corners(evidence: Evidence) -> None:
@@ -268,7 +277,7 @@ def test_gtcal_report_writes_the_page(folder: Path, capsys: pytest.CaptureFixtur
     arguments = [str(folder / "calibration.json"), "--recording", str(folder / "recording"), "-o", str(output)]
     assert main(["report", *arguments]) == 0
     assert str(output) in capsys.readouterr().out
-    assert output.read_text(encoding="utf-8").count("<figure>") == 12
+    assert output.read_text(encoding="utf-8").count("<figure>") == 15
     assert main(["report", str(folder / "missing.json"), "-o", str(output)]) == 1
 
 
@@ -276,7 +285,7 @@ def test_gtcal_calibrate_writes_a_report_if_asked(folder: Path) -> None:
     output = folder / "calibrate.html"
     arguments = [str(folder / "recording"), "-o", str(folder / "again.json"), "--report", str(output), "-q"]
     assert main(["calibrate", *arguments]) == 0
-    assert output.read_text(encoding="utf-8").count("<figure>") == 12
+    assert output.read_text(encoding="utf-8").count("<figure>") == 15
 
 
 def test_only_the_report_loads_matplotlib() -> None:
@@ -291,7 +300,7 @@ def test_the_page_in_a_browser(calibration: Calibration, evidence: Evidence, tmp
     seen = look_at(tmp_path / "report.html", tmp_path, width_px=width_px)
     assert seen.heard == []
     assert seen.console == []
-    assert seen.images == 12
+    assert seen.images == 15
     assert seen.missing == []
     assert seen.window_px == width_px
     assert seen.overflow_px <= 0

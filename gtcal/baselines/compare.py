@@ -111,7 +111,7 @@ def compare_markers(
         found = {name: calibrate_on_markers(seen, seed=seed).camera_T_ref for name, seen in sightings.items()}
     except GtcalError as error:
         return Compared(MARKERS, None, nan, None, nan, nan, time.perf_counter() - started, str(error))
-    estimate = replace(estimate_of(joint.calibration), camera_T_ref=found)
+    estimate = replace(joint.calibration.estimate, camera_T_ref=found)
     calibration = as_calibration(MARKERS, estimate, joint.calibration)
     return _compared(MARKERS, calibration, joint.calibration, lollypop, time.perf_counter() - started)
 
@@ -181,7 +181,7 @@ def _compared(
         for name, camera in calibration.cameras.items()
     ]
     lengths = np.concatenate(
-        [norms(chain_residuals_px(views, estimate_of(calibration))) for views in joint.solution.views.values()]
+        [norms(chain_residuals_px(views, calibration.estimate)) for views in joint.solution.views.values()]
     )
     finite = lengths[np.isfinite(lengths)]
     return Compared(
@@ -192,15 +192,6 @@ def _compared(
         max(mm for mm, _ in differences),
         max(deg for _, deg in differences),
         duration_s,
-    )
-
-
-def estimate_of(calibration: Calibration) -> Estimate:
-    """What a calibration says of the unknowns."""
-    return Estimate(
-        calibration.body_T_board.a_T_b,
-        {name: camera.camera_T_ref.a_T_b for name, camera in calibration.cameras.items()},
-        {name: camera.camera.theta for name, camera in calibration.cameras.items()},
     )
 
 

@@ -29,6 +29,8 @@ def print_calibration(calibration: Calibration, *, notes: Sequence[str] = (), ve
     parts: list[RenderableType] = [fit_table(calibration), pose_table(calibration)]
     if verbose:
         parts += [stage_table(calibration.stages), *_dropped_lines(calibration)]
+    if calibration.mocap_noise is not None:
+        parts.append(Text(f"stage {calibration.mocap_noise.stage} taken: {calibration.mocap_noise.reason}"))
     parts += [Text(f"note: {note}", style="cyan") for note in notes]
     parts += [Text(f"warning: {warning}", style="yellow") for warning in calibration.warnings]
     Console().print(Group(*parts))

@@ -12,8 +12,9 @@ from gtcal.report.evidence import Evidence
 from gtcal.report.pictures import CAMERA_COLOURS, Picture
 from gtcal.report.residual_figures import covered_share, residual_pictures
 from gtcal.report.scene import BODY_NAMES, REF_NAMES, Scene, build_scene
+from gtcal.report.uncertainty_part import UncertaintyPart, uncertainty_part
 from gtcal.results.calibration import Calibration, CameraCalibration, PoseEstimate
-from gtcal.results.covariance import ERRORS_IN_VARIABLES, NAIVE
+from gtcal.results.covariance import CLUSTERED, ERRORS_IN_VARIABLES, NAIVE
 from gtcal.verification.verification import Verification
 
 MOST_DETAILED_CAMERAS = 12
@@ -22,8 +23,8 @@ MOST_DETAILED_CAMERAS = 12
 COVARIANCE_MEANINGS = {
     NAIVE: "The covariance takes the mocap as exact and the corners as independent. Mocap noise moves all corners of "
     "a frame together, so these figures are a lower bound: the true error is often several times larger.",
-    ERRORS_IN_VARIABLES: "The covariance holds pixel noise and the mocap's noise by the sigmas given for it; it is "
-    "as true as they are.",
+    CLUSTERED: "The covariance is by how whole frames scatter (a sandwich): the mocap's errors are in it.",
+    ERRORS_IN_VARIABLES: "The covariance holds pixel noise and the mocap's noise.",
 }
 
 
@@ -104,6 +105,7 @@ class CalibrationPart:
     covariance_meaning: str
     ref: str
     scene: Scene
+    uncertainty: UncertaintyPart | None
 
 
 def calibration_part(
@@ -134,6 +136,7 @@ def calibration_part(
         covariance_meaning=covariance_meaning(calibration),
         ref=REF_NAMES[calibration.capture],
         scene=build_scene(calibration, evidence, colours, verification),
+        uncertainty=uncertainty_part(calibration, evidence, cameras=_worst(calibration)),
     )
 
 

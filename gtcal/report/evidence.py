@@ -13,7 +13,6 @@ import numpy as np
 
 from gtcal.camera import BoolArray, Camera, FloatArray
 from gtcal.errors import GtcalError
-from gtcal.estimation.estimate import Estimate
 from gtcal.estimation.observations import Dropped, Views, synchronise
 from gtcal.estimation.residuals import chain_residuals_px, norms
 from gtcal.estimation.screening import keep_all, screen
@@ -113,7 +112,7 @@ def gather_evidence(calibration: Calibration, recording: Recording, *, progress:
     recording = detected(_with_cameras(recording, list(calibration.cameras)), progress=progress)
     lenses = {name: calibrated.camera for name, calibrated in calibration.cameras.items()}
     observations = synchronise(replace(recording, cameras=lenses))
-    estimate = estimate_of(calibration)
+    estimate = calibration.estimate
     screening = screen if calibration.provenance.options.get("screen", True) else keep_all
     screened = screening(observations.views, estimate)
     cameras = {
@@ -129,16 +128,6 @@ def gather_evidence(calibration: Calibration, recording: Recording, *, progress:
     _check_pixels(cameras)
     dropped = observations.dropped + screened.dropped(observations.views)
     return Evidence(recording.path, cameras, _changed_inputs(calibration, recording), dropped)
-
-
-def estimate_of(calibration: Calibration) -> Estimate:
-    """The unknowns as the residuals want them."""
-    cameras = calibration.cameras
-    return Estimate(
-        body_T_board=calibration.body_T_board.a_T_b,
-        camera_T_ref={name: camera.camera_T_ref.a_T_b for name, camera in cameras.items()},
-        theta={name: camera.camera.theta for name, camera in cameras.items()},
-    )
 
 
 def _with_cameras(recording: Recording, names: list[str]) -> Recording:

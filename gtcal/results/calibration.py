@@ -213,6 +213,15 @@ class Calibration:
         return self.covariances.get(self.covariance_kind)
 
     @property
+    def estimate(self) -> Estimate:
+        """The unknowns, as plain arrays."""
+        return Estimate(
+            self.body_T_board.a_T_b,
+            {name: camera.camera_T_ref.a_T_b for name, camera in self.cameras.items()},
+            {name: camera.camera.theta for name, camera in self.cameras.items()},
+        )
+
+    @property
     def rmse_px(self) -> float:
         """Pooled over the corners of all cameras."""
         parts = [camera.residuals for camera in self.cameras.values()]
