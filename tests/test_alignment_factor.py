@@ -91,7 +91,8 @@ def test_exact_poses_align_without_error() -> None:
         corner_moments=aligned.moments,
     )
     assert factor.error(aligned.values) == 0.0
-    np.testing.assert_array_equal(factor.linearize(aligned.values).getb(), 0.0)
+    # the triangular factor of rows of zeros may hold numbers of the order of 1e-320, by processor
+    np.testing.assert_allclose(factor.linearize(aligned.values).getb(), 0.0, atol=np.finfo(float).tiny)
 
 
 def test_squared_distances_by_view(aligned: Aligned) -> None:
