@@ -103,6 +103,7 @@ def outcome(run: Run) -> Outcome | None:
     deviations = [
         deviation
         for name, of_stage, kind in kinds
+        if kind in found.covariances
         for deviation in _deviations(run, simulation, found.estimates[of_stage], found.covariances[kind], name)
     ]
     return Outcome(run, stage, tuple(deviations), _position_errors_mm(found, simulation))
@@ -207,12 +208,14 @@ def coverage(deviations: list[Deviation], level: float) -> float:
 
 
 def _nees(deviations: list[Deviation]) -> str:
+    if not deviations:
+        return "-"
     mean, error = nees_per_dof(deviations)
     return f"{mean:.2f} ± {error:.2f}" if mean < 9.5 else f"{mean:.0f} ± {error:.0f}"
 
 
 def _within(deviations: list[Deviation], level: float) -> str:
-    return f"{coverage(deviations, level):.1%}"
+    return f"{coverage(deviations, level):.1%}" if deviations else "-"
 
 
 def main() -> None:

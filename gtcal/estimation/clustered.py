@@ -9,7 +9,7 @@ share it make one cluster. Few clusters fit their own estimate too well; the cor
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from gtcal.camera import FloatArray
 from gtcal.estimation.adjustment import Adjusted
 from gtcal.estimation.errors_in_variables import prior_information
 from gtcal.estimation.frame_statistics import FrameMoments, frames_of, in_parts
+from gtcal.estimation.observations import Views
 from gtcal.estimation.options import CalibrationOptions
 from gtcal.recordings.detections import IntArray
 from gtcal.results.covariance import CLUSTERED, JointCovariance
@@ -45,8 +46,15 @@ def clustered(
         free_theta=options.refine_intrinsics,
         robust=options.robust,
     )
+    if clusters(stamps_of(views), correlation_s)[-1] < len(information):
+        return {}
     matrix = clustered_covariance(parts, information, correlation_s)
     return {CLUSTERED: JointCovariance(CLUSTERED, sizes, matrix)}
+
+
+def stamps_of(views: Mapping[str, Views]) -> IntArray:
+    """(n,) of the frames that any camera saw, increasing."""
+    return np.unique(np.concatenate([of_camera.stamps_ns for of_camera in views.values()]))
 
 
 def clusters(stamps_ns: IntArray, correlation_s: float) -> IntArray:

@@ -18,6 +18,7 @@ import numpy as np
 
 from factors.frames import CameraFrames, FramesReprojection
 from factors.mocap_noise import CorrelatedNoiseFactor
+from factors.moments import chain
 from gtcal.camera import BoolArray, FloatArray
 from gtcal.estimation.adjustment import Adjusted, add_user_priors, intrinsics_priors
 from gtcal.estimation.estimate import Estimate
@@ -35,7 +36,7 @@ from gtcal.estimation.mocap_noise import (
 )
 from gtcal.estimation.observations import Dropped, Views
 from gtcal.estimation.options import CalibrationOptions, MocapSigmas
-from gtcal.estimation.residuals import corner_views, select_views
+from gtcal.estimation.residuals import corner_views, select_corners, select_views
 from gtcal.estimation.screening import screen
 from gtcal.progress import Progress, silent
 from gtcal.recordings.capture import RefMotion
@@ -152,6 +153,8 @@ def adjust_with_mocap_noise(
     progress("stage 4: mocap noise", 0, 1)
     graph, values = _problem(adjusted, fit, motion, options)
     found = _minimised(graph, values, views, options)
+    if found.stuck and options.refine_intrinsics:
+        found = min(found, _from_inside(graph, adjusted, fit, motion, options), key=lambda tried: tried.errors[-1])
     estimate = updated(adjusted.estimate, found.values)
     progress("stage 4: mocap noise", 1, 1)
     screened = replace(adjusted.screened, views=views).under(estimate)
@@ -163,25 +166,71 @@ def _minimised(
 ) -> Minimisation:
     """Intrinsics that are free start where they were before stage 3, which bends them to fit the mocap's noise, often
     up to where corners leave the field of view; from there only if that ends badly."""
-    as_stated = gtsam.Values(values)
-    for index, of_camera in enumerate(views.values()):
-        if values.exists(theta_key(index)):
-            as_stated.update(theta_key(index), of_camera.camera.theta)
-
-    shared = dict.fromkeys((BODY_T_BOARD, *map(camera_T_ref_key, range(len(views)))), 6)
-    shared |= {
-        theta_key(c): v.camera.model.n_parameters for c, v in enumerate(views.values()) if options.refine_intrinsics
-    }
-
-    def run(start: gtsam.Values) -> Minimisation:
-        return minimise_many_frames(
-            graph, start, shared, eps=options.eps, max_iterations=options.max_iterations, least_gain=_LEAST_GAIN
-        )
-
-    found = run(as_stated)
+    found = _run(graph, _as_stated(values, views), views, options)
     if not (found.stuck and options.refine_intrinsics):
         return found
-    return min(found, run(values), key=lambda minimisation: minimisation.errors[-1])
+    return min(found, _run(graph, values, views, options), key=lambda tried: tried.errors[-1])
+
+
+def _from_inside(
+    graph: gtsam.NonlinearFactorGraph,
+    adjusted: Adjusted,
+    fit: MocapNoiseFit,
+    motion: RefMotion,
+    options: CalibrationOptions,
+) -> Minimisation:
+    """First without the corners near the edge of the field of view, at which the error has a wall; then with them."""
+    views = adjusted.screened.views
+    inside = {
+        name: select_corners(of_camera, _well_inside(of_camera, adjusted.estimate)) for name, of_camera in views.items()
+    }
+    reduced = replace(adjusted, screened=replace(adjusted.screened, views=inside))
+    smaller, start = _problem(reduced, fit, motion, options)
+    found = _run(smaller, _as_stated(start, inside), inside, options)
+    _, values = _problem(adjusted, fit, motion, options)
+    values.update(found.values)
+    return _run(graph, values, views, options)
+
+
+_EDGE = 0.95  # of the field's limit: corners beyond it may leave the field of view on the way
+
+
+def _well_inside(views: Views, estimate: Estimate) -> BoolArray:
+    """(N,) the corners that the stated lens sees, and not at its edge."""
+    camera_T_board = chain(estimate.camera_T_ref[views.camera.name], views.ref_T_body, estimate.body_T_board)
+    T = camera_T_board[views.view_of_corner]
+    in_camera = np.einsum("nij,nj->ni", T[:, :3, :3], views.corners_m) + T[:, :3, 3]
+    angle_rad = np.arctan2(np.hypot(in_camera[:, 0], in_camera[:, 1]), in_camera[:, 2])
+    return np.asarray(angle_rad < _EDGE * views.camera.model.max_angle_rad(views.camera.theta))
+
+
+def _as_stated(values: gtsam.Values, views: Mapping[str, Views]) -> gtsam.Values:
+    stated = gtsam.Values(values)
+    for index, of_camera in enumerate(views.values()):
+        if values.exists(theta_key(index)):
+            stated.update(theta_key(index), of_camera.camera.theta)
+    return stated
+
+
+def shared_keys(views: Mapping[str, Views], options: CalibrationOptions) -> dict[int, int]:
+    """Of what is not a single frame's, and the size of each."""
+    shared = dict.fromkeys((BODY_T_BOARD, *map(camera_T_ref_key, range(len(views)))), 6)
+    if options.refine_intrinsics:
+        shared |= {theta_key(c): of_camera.camera.model.n_parameters for c, of_camera in enumerate(views.values())}
+    return shared
+
+
+def _run(
+    graph: gtsam.NonlinearFactorGraph, start: gtsam.Values, views: Mapping[str, Views], options: CalibrationOptions
+) -> Minimisation:
+    return minimise_many_frames(
+        graph,
+        start,
+        shared_keys(views, options),
+        eps=options.eps,
+        max_iterations=options.max_iterations,
+        least_gain=_LEAST_GAIN,
+    )
 
 
 def whiteness(freed: Adjusted, fit: MocapNoiseFit, motion: RefMotion, options: CalibrationOptions) -> Whiteness:
