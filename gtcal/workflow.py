@@ -6,6 +6,7 @@ from __future__ import annotations
 import time
 from dataclasses import replace
 
+from gtcal.clock.find import tested, with_clock
 from gtcal.detection.detect import cached_detect
 from gtcal.errors import GtcalError
 from gtcal.estimation.intrinsics import calibrate_intrinsics
@@ -16,7 +17,7 @@ from gtcal.estimation.suspects import likely_mistake
 from gtcal.files import fingerprint
 from gtcal.progress import Progress, silent
 from gtcal.recordings.recording import Recording
-from gtcal.results.calibration import Calibration, StageReport
+from gtcal.results.calibration import Calibration, Clock, StageReport
 
 
 def calibrate(
@@ -28,23 +29,34 @@ def calibrate(
     in common, or files that contradict each other (DisagreementError, with the likely mistake if one is found)."""
     options = options or CalibrationOptions()
     recording = detected(recording, progress=progress)
-    observations, reports = prepared(recording, options, progress=progress)
+    observations, reports = _with_intrinsics(synchronise(recording), options, progress)
     try:
-        return calibrate_observations(
+        observations, clock = _on_the_mocaps_clock(observations, options, progress)
+        calibration = calibrate_observations(
             observations, options, progress=progress, inputs=recording.inputs, earlier=reports
         )
     except DisagreementError as error:
         hint = likely_mistake(observations, seed=options.seed, max_views=options.pnp_views)
         raise DisagreementError(error.angle_deg, hint) from error
+    return tested(calibration, observations, options) if options.clock == "test" else replace(calibration, clock=clock)
 
 
 def prepared(
     recording: Recording, options: CalibrationOptions, *, progress: Progress = silent
 ) -> tuple[Observations, tuple[StageReport, ...]]:
-    """The recording's synchronised views, detected where they are images, with intrinsics found where the options ask
-    for it; and what that took."""
+    """The recording's synchronised views, detected where they are images, with intrinsics and clock offset found where
+    the options ask for it; and what the intrinsics took."""
     observations = synchronise(detected(recording, progress=progress))
-    return _with_intrinsics(observations, options, progress)
+    observations, reports = _with_intrinsics(observations, options, progress)
+    return _on_the_mocaps_clock(observations, options, progress)[0], reports
+
+
+def _on_the_mocaps_clock(
+    observations: Observations, options: CalibrationOptions, progress: Progress
+) -> tuple[Observations, Clock | None]:
+    if options.clock in ("test", "trust"):
+        return observations, None
+    return with_clock(observations, options, progress=progress)
 
 
 def detected(recording: Recording, *, progress: Progress = silent, redo: bool = False) -> Recording:

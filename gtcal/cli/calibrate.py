@@ -49,6 +49,8 @@ def calibrate(
     mocap_noise: Literal["estimate", "exact"] = "estimate",
     mocap_sigma_mm: float | None = None,
     mocap_sigma_deg: float | None = None,
+    clock: Literal["test", "estimate", "per_camera", "trust"] = "test",
+    clock_drift: bool = False,
     stages: tuple[int, ...] = (1, 2, 3),
     eps: float = 1e-4,
     max_iterations: int = 100,
@@ -94,6 +96,10 @@ def calibrate(
         mocap_sigma_mm: 1-sigma of a tracked body's position along each axis, if you know it (0.05 to 0.3 is common);
             stage 4 then takes it and the next one instead of estimating them.
         mocap_sigma_deg: 1-sigma of a tracked body's orientation about each axis (0.005 to 0.05 is common).
+        clock: 'test': take the cameras' stamps as synchronised with the mocap's, and warn if the data want an offset.
+            'estimate': find one offset between all cameras and the mocap, up to half a second, and correct it;
+            'per_camera': one for each. 'trust': do not even test.
+        clock_drift: With --clock estimate: let the offset grow linearly in time.
         stages: Stages to run, of 1 (Procrustes sweep), 2 (3-D alignment), 3 (pixels).
         eps: A minimisation stops where an iteration improves the error E by less than eps (1 + E).
         max_iterations: Most iterations of one minimisation.
@@ -124,6 +130,8 @@ def calibrate(
         priors=read_priors(priors) if priors is not None else Priors(),
         sigma_px=sigma_px,
         mocap=_mocap(mocap_sigma_mm, mocap_sigma_deg) or mocap_noise,
+        clock=clock,
+        clock_drift=clock_drift,
         stages=stages,
         eps=eps,
         max_iterations=max_iterations,

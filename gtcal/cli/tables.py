@@ -16,6 +16,7 @@ from gtcal.recordings.recording import Recording
 from gtcal.results.calibration import Calibration, StageReport, pose_difference
 from gtcal.results.covariance import CLUSTERED, ERRORS_IN_VARIABLES, NAIVE
 from gtcal.simulation import GroundTruth
+from gtcal.uncertainty.coverage import coverage
 
 _COVARIANCES = {
     NAIVE: "of pixel noise alone; too small where the mocap is noisy",
@@ -28,9 +29,11 @@ def print_calibration(calibration: Calibration, *, notes: Sequence[str] = (), ve
     """Print fit, poses and warnings; ``verbose`` adds the stages and what was left out and why."""
     parts: list[RenderableType] = [fit_table(calibration), pose_table(calibration)]
     if verbose:
-        parts += [stage_table(calibration.stages), *_dropped_lines(calibration)]
+        parts += [stage_table(calibration.stages), *_dropped_lines(calibration), *_lacking_lines(calibration)]
     if calibration.mocap_noise is not None:
         parts.append(Text(f"stage {calibration.mocap_noise.stage} taken: {calibration.mocap_noise.reason}"))
+    if calibration.clock is not None and calibration.clock.corrected:
+        parts.append(Text(f"clock: {calibration.clock.statement} added to the cameras' stamps"))
     parts += [Text(f"note: {note}", style="cyan") for note in notes]
     parts += [Text(f"warning: {warning}", style="yellow") for warning in calibration.warnings]
     Console().print(Group(*parts))
@@ -119,6 +122,11 @@ def _dropped_lines(calibration: Calibration) -> list[Text]:
         )
         for entry in calibration.dropped
     ]
+
+
+def _lacking_lines(calibration: Calibration) -> list[Text]:
+    """What the recording does not show enough of."""
+    return [Text(f"not covered: {line}") for line in coverage(calibration).missing] if calibration.solution else []
 
 
 def detection_table(recording: Recording) -> Table:

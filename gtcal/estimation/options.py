@@ -16,6 +16,10 @@ IntrinsicsMode = Literal["fixed", "calibrate", "refine", "calibrate+refine"]
 """fixed: as the recording states them. calibrate: found first, by a plain calibration from the views. refine: solved
 for in stage 3, jointly with the extrinsics."""
 
+ClockMode = Literal["test", "estimate", "per_camera", "trust"]
+"""test: the stamps are taken as they are, and a warning says what offset the data want. estimate: one offset between
+all cameras and the mocap is found and corrected. per_camera: one for each. trust: the stamps are taken as they are."""
+
 
 @dataclass(frozen=True)
 class MocapSigmas:
@@ -55,6 +59,8 @@ class CalibrationOptions:
         ``robust`` (graduated non-convexity: Yang et al. 2020; with GemanMcClure it is theirs). For data with so many
         outliers that screening by medians fails; a redescending kernel is needed, and ``screen`` may be off.
 
+    clock: see ``ClockMode``. clock_drift: where the offset is estimated, let it grow linearly in time.
+
     Raises GtcalError for a choice that makes no sense."""
 
     intrinsics: IntrinsicsMode = "fixed"
@@ -74,6 +80,8 @@ class CalibrationOptions:
     allow_degenerate: bool = False
     priors: Priors = field(default_factory=Priors)
     graduated: bool = False
+    clock: ClockMode = "test"
+    clock_drift: bool = False
 
     def __post_init__(self) -> None:
         if not self.stages or not set(self.stages) <= {1, 2, 3} or list(self.stages) != sorted(set(self.stages)):
@@ -87,6 +95,10 @@ class CalibrationOptions:
                 raise GtcalError(f"{name}: {getattr(self, name)} is not a positive number")
         if self.sigma_px is not None and not self.sigma_px > 0.0:
             raise GtcalError(f"sigma_px: {self.sigma_px} is not a positive number")
+        if self.clock_drift and self.clock not in ("estimate", "per_camera"):
+            raise GtcalError(f"clock_drift asks for a clock that is estimated, but clock is {self.clock!r}")
+        if self.clock_drift and self.clock == "per_camera":
+            raise GtcalError("clock_drift is of a clock that all cameras share: set clock to 'estimate'")
         if self.graduated and self.robust.name not in REDESCENDING:
             raise GtcalError(
                 f"graduated non-convexity needs a redescending kernel ({', '.join(REDESCENDING)}), not "

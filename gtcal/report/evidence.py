@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from gtcal.camera import BoolArray, Camera, FloatArray
+from gtcal.clock.shift import on_clock_of
 from gtcal.errors import GtcalError
 from gtcal.estimation.observations import Dropped, Views, synchronise
 from gtcal.estimation.residuals import chain_residuals_px, norms
@@ -111,7 +112,7 @@ def gather_evidence(calibration: Calibration, recording: Recording, *, progress:
     # With the recording's own lenses, as the calibration detected: what was found then is kept for them.
     recording = detected(_with_cameras(recording, list(calibration.cameras)), progress=progress)
     lenses = {name: calibrated.camera for name, calibrated in calibration.cameras.items()}
-    observations = synchronise(replace(recording, cameras=lenses))
+    observations = on_clock_of(calibration, synchronise(replace(recording, cameras=lenses)))
     estimate = calibration.estimate
     screening = screen if calibration.provenance.options.get("screen", True) else keep_all
     screened = screening(observations.views, estimate)

@@ -137,6 +137,37 @@ class MocapNoise:
 
 
 @dataclass(frozen=True)
+class Clock:
+    """The offset of the cameras' clock: stamp + offset_s is the mocap's time. 1-sigma beside it; all by camera.
+
+    corrected: whether the calibration was computed at the corrected times; else the offset is what the data want though
+        the recording was taken as synchronised.
+    drift: by how much the offset grows per second about ``middle_ns`` (of the corrected stamps); 0 where not asked for.
+    """
+
+    offset_s: dict[str, float]
+    sigma_s: dict[str, float]
+    corrected: bool
+    drift: float = 0.0
+    drift_sigma: float = 0.0
+    middle_ns: int = 0
+
+    @property
+    def statement(self) -> str:
+        """For people; cameras that share an offset are not told apart."""
+        by_offset: dict[tuple[float, float], list[str]] = {}
+        for name, offset_s in self.offset_s.items():
+            by_offset.setdefault((offset_s, self.sigma_s[name]), []).append(name)
+        shared = len(by_offset) == 1
+        parts = [
+            f"{1e3 * offset:+.2f} ms ± {1e3 * sigma:.2f}" + ("" if shared else f" for {', '.join(names)}")
+            for (offset, sigma), names in by_offset.items()
+        ]
+        drift = f", growing by {1e6 * self.drift:+.1f} us/s ± {1e6 * self.drift_sigma:.1f}" if self.drift_sigma else ""
+        return "; ".join(parts) + drift
+
+
+@dataclass(frozen=True)
 class StageReport:
     """One stage of the solution.
 
@@ -189,6 +220,7 @@ class Calibration:
     covariance_kind: which of them the estimates carry.
     estimates: by stage, 3 and 4, as far as they were run; the cameras and body_T_board are those of one of them.
     mocap_noise: None where it was not modelled.
+    clock: None where it was neither estimated nor tested, or the motion does not tell.
     warnings: what the operator should know, a line each.
     solution: None where the calibration was read from a file."""
 
@@ -205,6 +237,7 @@ class Calibration:
     dropped: tuple[Dropped, ...]
     warnings: tuple[str, ...]
     provenance: Provenance
+    clock: Clock | None = None
     solution: Solution | None = field(default=None, compare=False, repr=False)
 
     @property

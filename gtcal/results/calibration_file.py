@@ -24,6 +24,7 @@ from gtcal.recordings.trajectory import quaternions_from_poses
 from gtcal.results.calibration import (
     Calibration,
     CameraCalibration,
+    Clock,
     MocapNoise,
     PoseEstimate,
     Provenance,
@@ -72,6 +73,7 @@ def _document(calibration: Calibration) -> dict[str, Any]:
         "covariances": {kind: _covariance_document(joint) for kind, joint in calibration.covariances.items()},
         "estimates": {str(stage): _estimate_document(found) for stage, found in calibration.estimates.items()},
         "mocap_noise": _mocap_noise_document(calibration.mocap_noise),
+        "clock": asdict(calibration.clock) if calibration.clock else None,
         "stages": [_without_nan(asdict(stage)) for stage in calibration.stages],
         "dropped": [asdict(dropped) for dropped in calibration.dropped],
         "provenance": provenance_document(calibration.provenance),
@@ -157,6 +159,7 @@ def _calibration(document: Mapping[str, Any]) -> Calibration:
         covariances={kind: _joint_covariance(kind, block) for kind, block in document["covariances"].items()},
         estimates={int(stage): _estimate(block) for stage, block in document["estimates"].items()},
         mocap_noise=_mocap_noise(document["mocap_noise"]),
+        clock=None if document["clock"] is None else Clock(**document["clock"]),
         stages=tuple(_stage(block) for block in document["stages"]),
         dropped=tuple(_made(Dropped, block) for block in document["dropped"]),
         warnings=tuple(document["warnings"]),

@@ -1,0 +1,86 @@
+"""A first guess at the clock offset, from rotations alone: no calibration is needed.
+
+Between two images the board turns by the same angle in the camera as the body does in ref, whatever X and Y_c are. So
+the angles between successive PnP poses are matched with the mocap's, shifted in time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from factors.rigid import inverse
+from gtcal.camera import FloatArray
+from gtcal.errors import GtcalError
+from gtcal.estimation.observations import Observations, Views
+from gtcal.estimation.pnp import solve_pnp
+from gtcal.recordings.capture import RefMotion
+from gtcal.recordings.detections import IntArray
+
+REACH_S = 0.5
+"""Offsets are looked for up to this, either way."""
+
+_STEP_S = 0.005
+_MOST_VIEWS = 300
+_FEWEST_PAIRS = 8
+_CAP = 4.0  # of the typical misfit at its best: more is an outlier
+
+
+def coarse_offset_s(observations: Observations, cameras: Iterable[str] | None = None) -> float:
+    """The offset that these cameras (all of them by default) share: stamp + offset is the mocap's time.
+
+    Raises GtcalError where the images have too few successive views, or the board did not turn."""
+    names = list(observations.views if cameras is None else cameras)
+    parts = [_turns(observations.views[name]) for name in names]
+    first_ns, second_ns = (np.concatenate([part[i] for part in parts]) for i in range(2))
+    angle_rad = np.concatenate([part[2] for part in parts])
+    if len(angle_rad) < _FEWEST_PAIRS:
+        raise GtcalError("too few views to find the clock offset from: film more, or synchronise the clocks")
+    if np.median(angle_rad) < np.deg2rad(0.1):
+        raise GtcalError("the board hardly turned between images, so its turns do not tell the clock offset")
+    shifts_s = np.arange(-REACH_S, REACH_S + _STEP_S, _STEP_S)
+    misfits = [_misfit(observations.motion, first_ns, second_ns, angle_rad, shift_s) for shift_s in shifts_s]
+    medians = np.array([np.median(misfit) if len(misfit) >= _FEWEST_PAIRS else np.inf for misfit in misfits])
+    if not np.isfinite(medians).any():
+        raise GtcalError("cameras and mocap share no time, whatever the clock offset within half a second")
+    cap = _CAP * medians.min()
+    costs = np.array(
+        [
+            np.minimum(misfit, cap).mean() if np.isfinite(m) else np.inf
+            for misfit, m in zip(misfits, medians, strict=True)
+        ]
+    )
+    best = int(np.argmin(costs))
+    return float(shifts_s[best] + _STEP_S * _parabola(costs[max(best - 1, 0) : best + 2]))
+
+
+def _turns(views: Views) -> tuple[IntArray, IntArray, FloatArray]:
+    """Of successive views: the stamps of both, and the angle in rad that the board turned by."""
+    found = solve_pnp(views, max_views=_MOST_VIEWS)
+    order = np.argsort(views.stamps_ns[found.view_index])
+    stamps_ns = views.stamps_ns[found.view_index][order]
+    poses = found.camera_T_board[order, 0]
+    angle_rad = Rotation.from_matrix((inverse(poses[:-1]) @ poses[1:])[:, :3, :3]).magnitude()
+    return stamps_ns[:-1], stamps_ns[1:], angle_rad
+
+
+def _misfit(
+    motion: RefMotion, first_ns: IntArray, second_ns: IntArray, angle_rad: FloatArray, shift_s: float
+) -> FloatArray:
+    """Differences of the angles at this shift, of the pairs that the mocap has."""
+    shift_ns = round(1e9 * shift_s)
+    poses = [motion.poses_at(stamps_ns + shift_ns)[0] for stamps_ns in (first_ns, second_ns)]
+    known = np.isfinite(poses[0]).all(axis=(1, 2)) & np.isfinite(poses[1]).all(axis=(1, 2))
+    turned = inverse(poses[0][known]) @ poses[1][known]
+    return np.abs(Rotation.from_matrix(turned[:, :3, :3]).magnitude() - angle_rad[known])
+
+
+def _parabola(costs: FloatArray) -> float:
+    """Where the smallest of three values would lie, in steps from the middle one."""
+    if len(costs) < 3 or not np.isfinite(costs).all():
+        return 0.0
+    before, middle, after = costs
+    curvature = before - 2.0 * middle + after
+    return float(0.5 * (before - after) / curvature) if curvature > 0.0 else 0.0
