@@ -20,6 +20,7 @@ COMMANDS = {
     "verify": "test a calibration with an independent recording of the Lollypop",
     "drift": "verify a calibration over successive recordings of the Lollypop",
     "report": "show a calibration, what it rests on and its verification on one HTML page",
+    "export": "write a calibration as a file of another tool: Kalibr, OpenCV, NumPy",
     "detect": "find the board in a recording's images, and keep the corners",
     "simulate": "simulate a recording with known ground truth",
     "schema": "print the JSON schema of a recording's manifest",
