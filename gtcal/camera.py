@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -14,16 +15,36 @@ FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
 
 
+StampedRow = Literal["first", "middle"]
+"""The row at whose exposure the image is stamped."""
+
+
+@dataclass(frozen=True)
+class RollingShutter:
+    """A sensor that exposes its rows one after the other, the upper one first.
+
+    readout_s: time from the first row's exposure to the last one's; None where it is still to be found."""
+
+    readout_s: float | None
+    stamped_row: StampedRow
+
+    def readout_shares(self, rows_px: FloatArray, height_px: int) -> FloatArray:
+        """(N,) what share of the readout lies between the image's stamp and the exposure of these rows (N,)."""
+        return rows_px / (height_px - 1.0) - (0.5 if self.stamped_row == "middle" else 0.0)
+
+
 @dataclass(frozen=True)
 class Camera:
     """A named camera. ``parameters`` is in the order of ``model.parameter_names``, or None where the
-    intrinsics are still to be found. Integer pixel coordinates are pixel centres."""
+    intrinsics are still to be found. Integer pixel coordinates are pixel centres. ``rolling_shutter`` is None for a
+    sensor that exposes all rows at once."""
 
     name: str
     model: CameraModel
     parameters: FloatArray | None
     image_width_px: int
     image_height_px: int
+    rolling_shutter: RollingShutter | None = None
 
     @property
     def theta(self) -> FloatArray:

@@ -6,7 +6,7 @@ from __future__ import annotations
 import time
 from dataclasses import replace
 
-from gtcal.clock.find import tested, with_clock
+from gtcal.clock.find import tested, with_clock, with_stated_readouts
 from gtcal.detection.detect import cached_detect
 from gtcal.errors import GtcalError
 from gtcal.estimation.intrinsics import calibrate_intrinsics
@@ -29,16 +29,16 @@ def calibrate(
     in common, or files that contradict each other (DisagreementError, with the likely mistake if one is found)."""
     options = options or CalibrationOptions()
     recording = detected(recording, progress=progress)
-    observations, reports = _with_intrinsics(synchronise(recording), options, progress)
+    as_stamped, reports = _with_intrinsics(synchronise(recording), options, progress)
     try:
-        observations, clock = _on_the_mocaps_clock(observations, options, progress)
+        observations, clock = _on_the_mocaps_clock(as_stamped, options, progress)
         calibration = calibrate_observations(
             observations, options, progress=progress, inputs=recording.inputs, earlier=reports
         )
     except DisagreementError as error:
-        hint = likely_mistake(observations, seed=options.seed, max_views=options.pnp_views)
+        hint = likely_mistake(as_stamped, seed=options.seed, max_views=options.pnp_views)
         raise DisagreementError(error.angle_deg, hint) from error
-    return tested(calibration, observations, options) if options.clock == "test" else replace(calibration, clock=clock)
+    return tested(calibration, as_stamped, options) if options.clock == "test" else replace(calibration, clock=clock)
 
 
 def prepared(
@@ -55,7 +55,7 @@ def _on_the_mocaps_clock(
     observations: Observations, options: CalibrationOptions, progress: Progress
 ) -> tuple[Observations, Clock | None]:
     if options.clock in ("test", "trust"):
-        return observations, None
+        return with_stated_readouts(observations, options, progress=progress), None
     return with_clock(observations, options, progress=progress)
 
 

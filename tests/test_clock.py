@@ -14,13 +14,23 @@ from calibration_support import HEADSET, errors, simulated, worst
 from cli_support import run
 
 from gtcal import CalibrationOptions, GtcalError, calibrate, load_recording, read_calibration, synchronise
+from gtcal.camera import RollingShutter
 from gtcal.clock.coarse import coarse_offset_s
 from gtcal.clock.find import with_clock
+from gtcal.clock.rolling_shutter import straightened
 from gtcal.clock.shift import shifted
+from gtcal.estimation.estimate import Estimate
 from gtcal.estimation.observations import Observations
-from gtcal.estimation.residuals import select_views
+from gtcal.estimation.residuals import chain_residuals_px, select_views
 from gtcal.report import gather_evidence
-from gtcal.simulation import MocapNoise, Simulation, write_simulation
+from gtcal.simulation import (
+    MocapNoise,
+    Simulation,
+    SimulationOptions,
+    quest3_like_rig,
+    simulate,
+    write_simulation,
+)
 
 NOISE = MocapNoise(0.1, 0.01)
 
@@ -132,3 +142,73 @@ def test_the_real_recording_wants_an_offset_near_zero(vicon_recording: Callable[
     clock = calibrate(load_recording(vicon_recording()), options).clock
     assert abs(clock.offset_s["cam0"]) < 0.025
     assert 0.0 < clock.sigma_s["cam0"] < 0.025
+
+
+def rolling(readout_s: float | None, stamped_row: str = "first", **changes: object) -> Simulation:
+    """A headset whose cameras read their rows out one after the other; ``readout_s`` is what the recording states."""
+    rig = quest3_like_rig()
+    true = RollingShutter(READOUT_S, stamped_row)
+    rig = replace(rig, cameras=tuple(replace(camera, rolling_shutter=true) for camera in rig.cameras))
+    options = SimulationOptions(n_frames=60, duration_s=40.0, mocap=NOISE, rig=rig, **changes)
+    simulation = simulate(options, seed=0)
+    stated = replace(true, readout_s=readout_s)
+    cameras = {name: replace(c, rolling_shutter=stated) for name, c in simulation.recording.cameras.items()}
+    return replace(simulation, recording=replace(simulation.recording, cameras=cameras))
+
+
+READOUT_S = 0.02
+
+
+@pytest.mark.parametrize("stamped_row", ["first", "middle"])
+def test_a_stated_rolling_shutter_is_straightened(stamped_row: str) -> None:
+    simulation = rolling(READOUT_S, stamped_row)
+    found = calibrate(simulation.recording)
+    shutterless = {name: replace(c, rolling_shutter=None) for name, c in simulation.recording.cameras.items()}
+    ignored = calibrate(replace(simulation.recording, cameras=shutterless), CalibrationOptions(clock="trust"))
+    true_mm = np.mean([mm for mm, _ in errors(calibrate(late(0.0).recording), late(0.0)).values()])
+    assert np.mean([mm for mm, _ in errors(found, simulation).values()]) < 1.5 * true_mm
+    assert np.mean([mm for mm, _ in errors(ignored, simulation).values()]) > 2.5 * true_mm
+    assert abs(found.clock.offset_s["side_left"]) < 3e-4
+    assert not [w for w in found.warnings if "the data want" in w]
+
+
+def test_the_readout_time_is_found_with_the_clock_offset() -> None:
+    simulation = rolling(None, clock_offset_s=0.05)
+    found = calibrate(simulation.recording, CalibrationOptions(clock="estimate"))
+    assert found.clock.offset_s["side_left"] == pytest.approx(-0.05, abs=3e-4)
+    for name, seconds in found.clock.readout_s.items():
+        sigma_s = found.clock.readout_sigma_s[name]
+        assert abs(seconds - READOUT_S) < min(4.0 * sigma_s, 1e-3)
+        assert found.cameras[name].camera.rolling_shutter.readout_s == seconds
+    assert worst(errors(found, simulation).values())[0] < 0.5
+
+
+def test_a_rolling_shutter_of_unknown_readout_is_asked_for() -> None:
+    with pytest.raises(GtcalError, match="has a rolling shutter without readout_ms; give it"):
+        calibrate(rolling(None).recording)
+
+
+def test_a_rolling_shutter_is_kept_in_the_files_and_the_report(tmp_path: Path) -> None:
+    simulation = rolling(None, clock_offset_s=0.01)
+    write_simulation(simulation, tmp_path / "recording", images=False)
+    ran = run("calibrate", tmp_path / "recording", "-o", tmp_path / "c.json", "--clock", "estimate")
+    assert (ran.code, ran.err) == (0, "")
+    assert "camera 'front_left' reads its rows out in 2" in ran.out or "in 19." in ran.out
+    calibration = read_calibration(tmp_path / "c.json")
+    evidence = gather_evidence(calibration, load_recording(tmp_path / "recording"))
+    assert all(seen.statistics.rmse_px < 0.5 for seen in evidence.cameras.values())
+    with pytest.raises(GtcalError, match="with all rows exposed at once"):
+        write_simulation(simulation, tmp_path / "rendered", images=True)
+
+
+def test_row_shifts_are_differences_of_projections_at_the_rows_times() -> None:
+    simulation = rolling(READOUT_S, mocap_rate_hz=500.0)
+    observations = synchronise(simulation.recording)
+    truth = simulation.truth
+    theta = {name: views.camera.theta for name, views in observations.views.items()}
+    estimate = Estimate(truth.body_T_board, truth.camera_T_ref, theta)
+    left = np.concatenate(
+        [chain_residuals_px(views, estimate) for views in straightened(observations, estimate).views.values()]
+    )
+    before = np.concatenate([chain_residuals_px(views, estimate) for views in observations.views.values()])
+    assert np.sqrt(np.nanmean(left**2)) < 0.25 * np.sqrt(np.nanmean(before**2))

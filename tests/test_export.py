@@ -82,7 +82,7 @@ def test_the_nearest_lens_is_as_near_as_it_says(tmp_path):
 def test_kalibrs_chain_leads_back_to_every_camera(tmp_path):
     yaml = pytest.importorskip("yaml")
     result = calibrated("headset, board tracked")
-    write_calibration(result, tmp_path / "calibration.json")
+    write_calibration(tmp_path / "calibration.json", result)
     arguments = [str(tmp_path / "calibration.json"), "--to", "kalibr", "-o", str(tmp_path / "chain.yaml"), "--nearest"]
     assert main(["export", *arguments]) == 0
     chain = yaml.safe_load((tmp_path / "chain.yaml").read_text())

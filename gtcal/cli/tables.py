@@ -34,6 +34,7 @@ def print_calibration(calibration: Calibration, *, notes: Sequence[str] = (), ve
         parts.append(Text(f"stage {calibration.mocap_noise.stage} taken: {calibration.mocap_noise.reason}"))
     if calibration.clock is not None and calibration.clock.corrected:
         parts.append(Text(f"clock: {calibration.clock.statement} added to the cameras' stamps"))
+        parts += [Text(f"clock: {line}") for line in calibration.clock.readout_statements]
     parts += [Text(f"note: {note}", style="cyan") for note in notes]
     parts += [Text(f"warning: {warning}", style="yellow") for warning in calibration.warnings]
     Console().print(Group(*parts))

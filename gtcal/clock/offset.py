@@ -2,18 +2,20 @@
 
 A shift of the cameras' clock by dt moves every frame's ref_T_body along its own velocity: A_f * Exp(twist_f dt). To
 first order that is one more unknown, whose column is that of A_f times the twist; the offset is where it stays zero
-when all is solved again at the shifted times. Its sigma counts what X, Y_c and theta_c leave open, and the mocap's
-noise: as stage 4 models it, or as the frames scatter.
+when all is solved again at the shifted times. A rolling shutter's readout time is an unknown of the same kind, in
+which each corner has its own share. Their sigmas count what X, Y_c and theta_c leave open, and the mocap's noise: as
+stage 4 models it, or as the frames scatter.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from gtcal.camera import FloatArray
+from gtcal.clock.rolling_shutter import readout_columns_px_per_s
 from gtcal.errors import GtcalError
 from gtcal.estimation.clustered import clustered_covariance
 from gtcal.estimation.errors_in_variables import prior_information
@@ -30,31 +32,36 @@ class OffsetEstimate:
     """What the data want of the cameras' stamps, beyond the times that they were taken at: in s, with its 1-sigma.
 
     drift, drift_sigma: by how much the offset grows per second, about the middle of the recording; 0 where it was not
-        asked for."""
+        asked for.
+    readout_s, readout_sigma_s: what is to be added to the readout times of the cameras that were asked for."""
 
     offset_s: float
     sigma_s: float
     drift: float = 0.0
     drift_sigma: float = 0.0
+    readout_s: dict[str, float] = field(default_factory=dict)
+    readout_sigma_s: dict[str, float] = field(default_factory=dict)
 
 
 def remaining_offset(
-    calibration: Calibration, motion: RefMotion, options: CalibrationOptions, *, drift: bool = False
+    calibration: Calibration,
+    motion: RefMotion,
+    options: CalibrationOptions,
+    *,
+    drift: bool = False,
+    readouts: tuple[str, ...] = (),
 ) -> OffsetEstimate:
-    """Of a calibration that was just computed.
+    """Of a calibration that was just computed. readouts: the cameras whose readout time is an unknown too.
 
     Raises GtcalError for one that was read from a file, or where the motion does not tell."""
     solution = calibration.solution
     if solution is None:
         raise GtcalError("a calibration that was read from a file keeps no views to test the clock with")
-    views, estimate = solution.views, solution.estimate
-    frames = frames_of(views)
-    information = _widened(prior_information(views, estimate, options), 1 + drift)
+    views = solution.views
+    information = _widened(prior_information(views, solution.estimate, options), len(readouts) + 1 + drift)
     parts = [
         _with_clock(part, motion, middle_ns(views), drift=drift)
-        for part in in_parts(
-            views, estimate, frames, sigma_px=calibration.sigma_px, free_theta=options.refine_intrinsics
-        )
+        for part in _parts(calibration, motion, options, readouts)
     ]
     noise = calibration.mocap_noise
     if noise is not None and noise.stage == 4:
@@ -63,10 +70,57 @@ def remaining_offset(
         solved, covariance = _as_they_scatter(parts, information, noise.correlation_s if noise else 0.0)
     first = len(solved) - 1 - drift
     sigmas = np.sqrt(np.diag(covariance))
-    if not np.isfinite(sigmas[first]):
-        raise GtcalError("the motion does not tell the clock offset: move faster")
+    of_readouts = range(first - len(readouts), first)
+    if not np.isfinite(sigmas[[*of_readouts, first]]).all():
+        what = "clock offset and readout time" if readouts else "clock offset"
+        raise GtcalError(f"the motion does not tell the {what}: move faster")
     of_drift = (float(solved[-1]), float(sigmas[-1])) if drift else (0.0, 0.0)
-    return OffsetEstimate(float(solved[first]), float(sigmas[first]), *of_drift)
+    return OffsetEstimate(
+        float(solved[first]),
+        float(sigmas[first]),
+        *of_drift,
+        readout_s={name: float(solved[i]) for name, i in zip(readouts, of_readouts, strict=True)},
+        readout_sigma_s={name: float(sigmas[i]) for name, i in zip(readouts, of_readouts, strict=True)},
+    )
+
+
+def _parts(
+    calibration: Calibration, motion: RefMotion, options: CalibrationOptions, readouts: tuple[str, ...]
+) -> Iterator[FrameMoments]:
+    """The moments, with a column for each of these readout times before the residual's."""
+    assert calibration.solution is not None
+    views, estimate = calibration.solution.views, calibration.solution.estimate
+
+    def of(views: Mapping[str, Views]) -> Iterator[FrameMoments]:
+        free = options.refine_intrinsics
+        return in_parts(views, estimate, frames_of(views), sigma_px=calibration.sigma_px, free_theta=free)
+
+    columns_px = {name: readout_columns_px_per_s(views[name], estimate, motion) for name in readouts}
+    plus = [of(_with_residuals_plus(views, name, column)) for name, column in columns_px.items()]
+    minus = [of(_with_residuals_plus(views, name, -column)) for name, column in columns_px.items()]
+    for part in of(views):
+        yield _with_columns(part, [next(parts) for parts in plus], [next(parts) for parts in minus])
+
+
+def _with_residuals_plus(views: Mapping[str, Views], name: str, column_px: FloatArray) -> dict[str, Views]:
+    """The views with the residuals of one camera's corners larger by this."""
+    return {**views, name: replace(views[name], corners_px=views[name].corners_px - column_px)}
+
+
+def _with_columns(frames: FrameMoments, plus: list[FrameMoments], minus: list[FrameMoments]) -> FrameMoments:
+    """The moments with a column c before the residual's for each pair of moments of residuals r + c and r - c: their
+    differences are J^T c and 4 c^T r, their sum 2 r^T r + 2 c^T c. The corners of one column are not another's."""
+    M, k = frames.moments, len(plus)
+    size = M.shape[1]
+    columns = np.array([*range(size - 1), size - 1 + k])
+    moments = np.zeros((len(M), size + k, size + k))
+    moments[:, columns[:, None], columns] = M
+    for i, (more, less) in enumerate(zip(plus, minus, strict=True)):
+        c = size - 1 + i
+        moments[:, : size - 1, c] = moments[:, c, : size - 1] = more.moments[:, :-1, -1] - M[:, :-1, -1]
+        moments[:, c, c] = 0.5 * (more.moments[:, -1, -1] + less.moments[:, -1, -1]) - M[:, -1, -1]
+        moments[:, c, -1] = moments[:, -1, c] = 0.25 * (more.moments[:, -1, -1] - less.moments[:, -1, -1])
+    return replace(frames, moments=moments)
 
 
 def middle_ns(views: Mapping[str, Views]) -> int:
@@ -94,9 +148,7 @@ def _with_clock(frames: FrameMoments, motion: RefMotion, about_ns: int, *, drift
     for k, along in enumerate(basis):
         columns[:, :6, size - 1 + k] = np.nan_to_num(along)
     moments = np.swapaxes(columns, 1, 2) @ frames.moments @ columns
-    return FrameMoments(
-        frames.frame_index, frames.stamps_ns, moments, frames.sigma_px, frames.within_square, frames.within_dof
-    )
+    return replace(frames, moments=moments)
 
 
 def _widened(information: FloatArray, n: int) -> FloatArray:

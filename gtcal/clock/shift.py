@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from gtcal.clock.rolling_shutter import straightened
 from gtcal.errors import GtcalError
 from gtcal.estimation.observations import Dropped, Observations, Views
 from gtcal.estimation.residuals import select_views
@@ -45,8 +46,9 @@ def shifted(
 
 
 def on_clock_of(calibration: Calibration, observations: Observations) -> Observations:
-    """The observations at the times that the calibration was computed at."""
+    """The observations, whose cameras are the calibration's, at the times that it was computed at, rolling shutters
+    straightened."""
     clock = calibration.clock
-    if clock is None or not clock.corrected:
-        return observations
-    return shifted(observations, clock.offset_s, drift=clock.drift, middle_ns=clock.middle_ns)
+    if clock is not None and clock.corrected:
+        observations = shifted(observations, clock.offset_s, drift=clock.drift, middle_ns=clock.middle_ns)
+    return straightened(observations, calibration.estimate)

@@ -15,6 +15,7 @@ from pydantic_core import ErrorDetails, PydanticCustomError
 
 from factors import CAMERA_MODELS
 from gtcal.board import board_manifest_schema
+from gtcal.camera import StampedRow
 from gtcal.errors import GtcalError
 from gtcal.files import write_text
 from gtcal.readers import TRAJECTORY_READERS
@@ -49,6 +50,19 @@ class Entry(BaseModel):
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
 
 
+class ShutterEntry(Entry):
+    """A rolling shutter, which exposes the rows one after the other."""
+
+    readout_ms: float | None = Field(
+        default=None,
+        gt=0,
+        lt=1000,
+        description="Time from the first row's exposure to the last one's. Leave it out where it is to be found with "
+        "the clock offset.",
+    )
+    stamped_row: StampedRow = Field(description="The row at whose exposure the image is stamped.")
+
+
 class CameraEntry(Entry):
     """One camera, and where its images or detections are."""
 
@@ -72,6 +86,9 @@ class CameraEntry(Entry):
     detections: str | None = Field(
         default=None,
         description="CSV of detected corners, or a folder of CSVs. Taken in place of detecting in 'images'.",
+    )
+    rolling_shutter: ShutterEntry | None = Field(
+        default=None, description="Given where the camera exposes its rows one after the other."
     )
 
 
@@ -308,4 +325,6 @@ def _entry_at(loc: tuple[int | str, ...], manifest: type[Entry]) -> type[Entry]:
     """The entry whose field stands at this place."""
     if len(loc) == 1:
         return manifest
-    return CameraEntry if loc[0] == "cameras" else TrajectoryEntry
+    if loc[0] != "cameras":
+        return TrajectoryEntry
+    return ShutterEntry if len(loc) > 3 and loc[2] == "rolling_shutter" else CameraEntry

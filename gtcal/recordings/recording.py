@@ -11,7 +11,7 @@ import numpy as np
 
 from factors import CAMERA_MODELS
 from gtcal.board import Board, board_from_manifest
-from gtcal.camera import Camera
+from gtcal.camera import Camera, RollingShutter
 from gtcal.errors import GtcalError
 from gtcal.files import InputFile, fingerprint, write_text
 from gtcal.readers import TRAJECTORY_READERS, write_euroc_csv
@@ -23,6 +23,7 @@ from gtcal.recordings.manifest import (
     MANIFEST_NAMES,
     CameraEntry,
     Manifest,
+    ShutterEntry,
     TrajectoryEntry,
     did_you_mean,
     find_manifest,
@@ -165,13 +166,14 @@ class Loader:
     def camera(self, name: str, entry: CameraEntry) -> Camera:
         width, height = entry.image_size_px
         model = CAMERA_MODELS[entry.model]
+        shutter = _shutter(entry.rolling_shutter)
         if entry.parameters is None:
-            return Camera(name, model, None, width, height)
+            return Camera(name, model, None, width, height, shutter)
         where = f"cameras.{name}.parameters"
         self._check_parameter_names(where, entry.model, entry.parameters)
         self._check_parameters(where, entry.parameters, width, height)
         theta = np.array([entry.parameters[parameter] for parameter in model.parameter_names])
-        return Camera(name, model, theta, width, height)
+        return Camera(name, model, theta, width, height, shutter)
 
     def detections(self, name: str, given: str, board: Cornered, camera: Camera) -> CameraDetections:
         path = self._existing(f"cameras.{name}.detections", given)
@@ -277,7 +279,21 @@ def camera_entry(camera: Camera, images: ImageSequence | None, folder: Path, *, 
         images=image_dir,
         image_list=listing,
         detections=detections_name(camera.name) if with_detections else None,
+        rolling_shutter=_shutter_entry(camera.rolling_shutter),
     )
+
+
+def _shutter(entry: ShutterEntry | None) -> RollingShutter | None:
+    if entry is None:
+        return None
+    return RollingShutter(None if entry.readout_ms is None else 1e-3 * entry.readout_ms, entry.stamped_row)
+
+
+def _shutter_entry(shutter: RollingShutter | None) -> ShutterEntry | None:
+    if shutter is None:
+        return None
+    readout_ms = None if shutter.readout_s is None else 1e3 * shutter.readout_s
+    return ShutterEntry(readout_ms=readout_ms, stamped_row=shutter.stamped_row)
 
 
 def detections_name(camera: str) -> str:

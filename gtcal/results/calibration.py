@@ -142,7 +142,9 @@ class Clock:
 
     corrected: whether the calibration was computed at the corrected times; else the offset is what the data want though
         the recording was taken as synchronised.
-    drift: by how much the offset grows per second about ``middle_ns`` (of the corrected stamps); 0 where not asked for.
+    drift: by how much the offset grows per second about ``middle_ns``; 0 where it was not asked for.
+    readout_s, readout_sigma_s: of the rolling shutters whose readout time was found; those that were stated are not
+        here but with their cameras.
     """
 
     offset_s: dict[str, float]
@@ -151,6 +153,16 @@ class Clock:
     drift: float = 0.0
     drift_sigma: float = 0.0
     middle_ns: int = 0
+    readout_s: dict[str, float] = field(default_factory=dict)
+    readout_sigma_s: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def readout_statements(self) -> tuple[str, ...]:
+        """For people, of each rolling shutter whose readout time was found."""
+        return tuple(
+            f"camera {name!r} reads its rows out in {1e3 * seconds:.2f} ms ± {1e3 * self.readout_sigma_s[name]:.2f}"
+            for name, seconds in self.readout_s.items()
+        )
 
     @property
     def statement(self) -> str:

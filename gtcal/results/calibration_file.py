@@ -15,7 +15,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from factors import CAMERA_MODELS
-from gtcal.camera import Camera, FloatArray
+from gtcal.camera import Camera, FloatArray, RollingShutter
 from gtcal.estimation.estimate import Estimate
 from gtcal.estimation.observations import Dropped
 from gtcal.files import InputFile, write_text
@@ -87,6 +87,7 @@ def _camera_document(calibrated: CameraCalibration) -> dict[str, Any]:
         "model": camera.model.name,
         "image_size_px": [camera.image_width_px, camera.image_height_px],
         "parameters": dict(zip(names, camera.theta.tolist(), strict=True)),
+        "rolling_shutter": None if camera.rolling_shutter is None else asdict(camera.rolling_shutter),
         "parameter_sigmas": None
         if covariance is None
         else dict(zip(names, np.sqrt(np.diag(covariance)).tolist(), strict=True)),
@@ -173,11 +174,15 @@ def _camera(name: str, block: Mapping[str, Any]) -> CameraCalibration:
     model, (width_px, height_px) = CAMERA_MODELS[block["model"]], block["image_size_px"]
     theta = np.array([block["parameters"][parameter] for parameter in model.parameter_names], dtype=np.float64)
     return CameraCalibration(
-        camera=Camera(name, model, theta, width_px, height_px),
+        camera=Camera(name, model, theta, width_px, height_px, _shutter(block["rolling_shutter"])),
         camera_T_ref=_pose(block["camera_T_ref"]),
         theta_covariance=_array(block["parameter_covariance"], (len(theta), len(theta))),
         residuals=_made(ResidualStatistics, block["residuals"]),
     )
+
+
+def _shutter(block: Mapping[str, Any] | None) -> RollingShutter | None:
+    return None if block is None else _made(RollingShutter, block)
 
 
 def _pose(block: Mapping[str, Any]) -> PoseEstimate:

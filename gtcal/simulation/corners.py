@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from gtcal.board import Board
 from gtcal.camera import BoolArray, Camera, FloatArray
+from gtcal.errors import GtcalError
 from gtcal.recordings.detections import CameraDetections, IntArray
 from gtcal.simulation.transforms import apply
 from gtcal.simulation.visibility import Features, ViewLimits, features_of, visible_features
 
 _SMALLEST_MISTAKE_PX, _LARGEST_MISTAKE_PX = 5.0, 50.0
 _FEWEST_CORNERS = 4  # fewer do not make a view
+_ROW_ROUNDS = 4  # to find the row that a corner is seen in: each brings it a hundred times nearer
 
 
 @dataclass(frozen=True)
@@ -45,23 +48,26 @@ class MeasuredCorners:
     wrong: BoolArray
 
 
+PosesAfter = Callable[[FloatArray], FloatArray]
+"""camera_T_board (V, C, 4, 4) of V views, each at C times (V, C) in seconds after its stamp."""
+
+
 def measured_corners(
     camera: Camera,
-    camera_T_board: FloatArray,
+    camera_T_board_after: PosesAfter,
     stamps_ns: IntArray,
     board: Board,
     limits: ViewLimits,
     noise: CornerNoise,
     rng: np.random.Generator,
 ) -> MeasuredCorners:
-    """Detect the board in views from camera_T_board (V, 4, 4), stamped ``stamps_ns`` (V,)."""
+    """Detect the board in views stamped ``stamps_ns`` (V,)."""
     features = features_of(board)
-    shape = (len(stamps_ns), board.n_corners)
-    pixels, valid = camera.project(apply(camera_T_board, board.corners_m).reshape(-1, 3))
-    exact_px = pixels.reshape(*shape, 2)
+    camera_T_board = camera_T_board_after(np.zeros((len(stamps_ns), 1)))[:, 0]
+    exact_px, valid = _exact_px(camera, camera_T_board, camera_T_board_after, board)
     read = visible_features(camera, camera_T_board, features, limits)
     read &= rng.random(read.shape) >= noise.missed_share
-    seen = read[:, features.of_corner] & valid.reshape(shape)
+    seen = read[:, features.of_corner] & valid
     seen &= seen.sum(axis=1, keepdims=True) >= _FEWEST_CORNERS
 
     seen_px, wrong = _misread_tags(exact_px, read, features, noise.wrong_tag_share, rng)
@@ -70,6 +76,24 @@ def measured_corners(
     wrong |= astray
     detections = _in_columns(seen, _clipped(camera, seen_px), stamps_ns)
     return MeasuredCorners(detections, wrong[seen])
+
+
+def _exact_px(
+    camera: Camera, camera_T_board: FloatArray, camera_T_board_after: PosesAfter, board: Board
+) -> tuple[FloatArray, BoolArray]:
+    """(V, C, 2) and (V, C) whether there is a pixel: of every corner, at the exposure of its own row."""
+    shape = (len(camera_T_board), board.n_corners)
+    pixels, valid = camera.project(apply(camera_T_board, board.corners_m).reshape(-1, 3))
+    shutter = camera.rolling_shutter
+    if shutter is not None:
+        if shutter.readout_s is None:
+            raise GtcalError(f"camera {camera.name!r}: a rolling shutter needs its readout_s to be simulated")
+        for _ in range(_ROW_ROUNDS):
+            shares = np.nan_to_num(shutter.readout_shares(pixels[:, 1], camera.image_height_px))
+            T = camera_T_board_after(shutter.readout_s * shares.reshape(shape))
+            in_camera_m = np.einsum("vcij,cj->vci", T[..., :3, :3], board.corners_m) + T[..., :3, 3]
+            pixels, valid = camera.project(in_camera_m.reshape(-1, 3))
+    return pixels.reshape(*shape, 2), valid.reshape(shape)
 
 
 def _misread_tags(

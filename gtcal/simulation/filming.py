@@ -11,6 +11,7 @@ import numpy as np
 
 from factors.rigid import inverse
 from gtcal.cores import all_cores
+from gtcal.errors import GtcalError
 from gtcal.files import write_aside
 from gtcal.progress import Progress
 from gtcal.recordings.images import GreyImage, ImageSequence
@@ -53,7 +54,13 @@ class Studio:
 def film(simulation: Simulation, folder: Path, progress: Progress) -> dict[str, ImageSequence]:
     """Render every frame of every camera into ``folder/<camera>/<stamp_ns>.png``.
 
-    Raises GtcalError where the folder can't be written."""
+    Raises GtcalError where the folder can't be written, or a camera has a rolling shutter."""
+    for camera in simulation.options.rig.cameras:
+        if camera.rolling_shutter is not None:
+            raise GtcalError(
+                f"camera {camera.name!r} has a rolling shutter, and images are rendered with all rows exposed at once; "
+                "simulate detections in place of images"
+            )
     studio = Studio(simulation)
     done, total = 0, len(simulation.options.rig.cameras) * len(simulation.frame_times_s)
     sequences = {}

@@ -22,7 +22,7 @@ from gtcal.results.calibration import (
     Provenance,
     ResidualStatistics,
 )
-from gtcal.simulation.corners import CornerNoise, measured_corners
+from gtcal.simulation.corners import CornerNoise, PosesAfter, measured_corners
 from gtcal.simulation.filming import film
 from gtcal.simulation.motion import still
 from gtcal.simulation.noise import MocapNoise
@@ -30,7 +30,7 @@ from gtcal.simulation.options import SimulationOptions
 from gtcal.simulation.rendering import ImageOptions
 from gtcal.simulation.rig import Rig, quest3_like_rig
 from gtcal.simulation.scene import LEAD_S, Scene, random_scene
-from gtcal.simulation.simulate import Simulation, simulate_in, stamps_ns
+from gtcal.simulation.simulate import Simulation, camera_T_board_after, simulate_in, stamps_ns
 from gtcal.simulation.transforms import transform
 from gtcal.simulation.visibility import ViewLimits
 from gtcal.simulation.writing import check_empty
@@ -286,16 +286,26 @@ def _all_faces(
     face_T_first = [inverse(device.faces[0].body_T_board) @ face.body_T_board for face in device.faces]
     parts = [of_first]
     for index, face in enumerate(device.faces[1:], start=1):
-        camera_T_board = world.scene.camera_T_board(camera_index, world.frame_times_s) @ face_T_first[index]
+        of_first_after = camera_T_board_after(world.scene, camera_index, world.frame_times_s)
         noise = world.stream("corners", _FACE_STREAM * index + camera_index)
         camera = world.options.rig.cameras[camera_index]
         stamps = stamps_ns(world.frame_times_s)
         parts.append(
             measured_corners(
-                camera, camera_T_board, stamps, face.board, options.limits, options.corners, noise
+                camera,
+                _moved_by(of_first_after, face_T_first[index]),
+                stamps,
+                face.board,
+                options.limits,
+                options.corners,
+                noise,
             ).detections
         )
     return _joined(parts, device)
+
+
+def _moved_by(poses_after: PosesAfter, a_T_b: FloatArray) -> PosesAfter:
+    return lambda delays_s: poses_after(delays_s) @ a_T_b
 
 
 def _joined(parts: list[CameraDetections], device: Lollypop) -> CameraDetections:

@@ -11,7 +11,7 @@ from gtcal.errors import GtcalError
 from gtcal.recordings.detections import IntArray
 from gtcal.recordings.recording import Recording
 from gtcal.recordings.trajectory import Trajectory
-from gtcal.simulation.corners import MeasuredCorners, measured_corners
+from gtcal.simulation.corners import MeasuredCorners, PosesAfter, measured_corners
 from gtcal.simulation.noise import MocapSamples, measured_body, random_swaps
 from gtcal.simulation.options import IntrinsicsError, SimulationOptions
 from gtcal.simulation.scene import Scene, random_scene
@@ -142,13 +142,23 @@ def _trajectory(bodies: dict[str, MocapSamples], name: str) -> Trajectory | None
 def _corners(scene: Scene, options: SimulationOptions, times_s: FloatArray, index: int, seed: int) -> MeasuredCorners:
     return measured_corners(
         options.rig.cameras[index],
-        scene.camera_T_board(index, times_s),
+        camera_T_board_after(scene, index, times_s),
         stamps_ns(times_s + options.clock_offsets_s[index]),
         options.board,
         options.limits,
         options.corners,
         _stream(seed, "corners", index),
     )
+
+
+def camera_T_board_after(scene: Scene, camera_index: int, times_s: FloatArray) -> PosesAfter:
+    """Of views at the times (V,)."""
+
+    def after(delays_s: FloatArray) -> FloatArray:
+        at_s = times_s[:, None] + delays_s
+        return scene.camera_T_board(camera_index, at_s.ravel()).reshape(*at_s.shape, 4, 4)
+
+    return after
 
 
 def _camera_truth(
