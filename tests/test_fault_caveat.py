@@ -14,6 +14,7 @@ def fault(before_px: float, after_px: float) -> Fault:
         camera="cam0",
         correction=np.eye(4),
         focal_share=0.0,
+        offset_s=0.0,
         shift_mm=1.0,
         turn_deg=0.0,
         shift_sigma_mm=0.1,

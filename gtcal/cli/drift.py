@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import tyro
 
@@ -15,6 +15,7 @@ def drift(
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("drift.json"),
     csv: Path | None = None,
     figure: Path | None = None,
+    clock: Literal["calibration", "estimate", "trust"] = "calibration",
     max_rmse_px: float = 0.5,
     max_rmse_mm: float = 1.0,
     confidence: float = 0.95,
@@ -34,6 +35,7 @@ def drift(
         output: JSON file to write.
         csv: CSV file to write, a row per recording and camera.
         figure: Figure to write: .png, .svg or .pdf. RMSE in px and mm with its bounds.
+        clock: As of 'gtcal verify'; 'estimate' finds each recording's own offset.
         max_rmse_px: Tolerance on e_2D, as of 'gtcal verify'.
         max_rmse_mm: Tolerance on e_3D.
         confidence: Of the bounds.
@@ -52,7 +54,7 @@ def drift(
     from gtcal.verification.verification import VerificationOptions
 
     started = time.perf_counter()
-    options = VerificationOptions(max_rmse_px=max_rmse_px, max_rmse_mm=max_rmse_mm, confidence=confidence)
+    options = VerificationOptions(clock=clock, max_rmse_px=max_rmse_px, max_rmse_mm=max_rmse_mm, confidence=confidence)
     calibrated = read_calibration(calibration)
     names = [path.resolve().name for path in recordings]
     if len(set(names)) < len(names):

@@ -24,6 +24,7 @@ def print_verification(verification: Verification, *, verbose: bool = False) -> 
     parts += [Text(f"  {reason}") for reason in verification.reasons]
     parts += [_table(verification), *_findings(verification), *_expected_lines(verification)]
     parts += _depth_lines(verification)
+    parts += [Text(line) for line in verification.clock_lines]
     if verbose:
         parts += [_bias_line(camera) for camera in verification.cameras.values()]
         parts += [Text(f"left out of {left.camera}: {left.count}: {left.reason}") for left in verification.left_out]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
@@ -19,6 +19,7 @@ def verify(
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("verification.json"),
     report: Path | None = None,
     sightings: Path | None = None,
+    clock: Literal["calibration", "estimate", "trust"] = "calibration",
     max_rmse_px: float = 0.5,
     max_rmse_mm: float = 1.0,
     confidence: float = 0.95,
@@ -49,6 +50,10 @@ def verify(
         report: HTML file to write with the verdict's evidence: heat maps, worst images, errors over time (see
             'gtcal report', which also adds the calibration's own recording).
         sightings: CSV to write with every single error.
+        clock: 'calibration': where 'gtcal calibrate --clock' found an offset between the clocks, it is applied here
+            too. 'estimate': for clocks whose offset is another in every recording: it is found from the sightings, a
+            single number from hundreds of them, and applied before anything is judged. 'trust': take the stamps as
+            they are.
         max_rmse_px: Tolerance on the distance of image centre and mocap centre in the image (e_2D, RMSE).
         max_rmse_mm: Tolerance on the same, carried out to the device's depth (e_3D, RMSE).
         confidence: Of the bounds on the RMSE that decide. A tolerance is kept where the upper bound lies below it, and
@@ -69,6 +74,7 @@ def verify(
     from gtcal.verification.workflow import verify as run
 
     options = VerificationOptions(
+        clock=clock,
         max_rmse_px=max_rmse_px,
         max_rmse_mm=max_rmse_mm,
         confidence=confidence,

@@ -11,7 +11,7 @@ from gtcal.clock.rolling_shutter import straightened
 from gtcal.errors import GtcalError
 from gtcal.estimation.observations import Dropped, Observations, Views
 from gtcal.estimation.residuals import select_views
-from gtcal.results.calibration import Calibration
+from gtcal.results.calibration import Calibration, moved_ns
 
 
 def shifted(
@@ -25,8 +25,7 @@ def shifted(
     views: dict[str, Views] = {}
     dropped: list[Dropped] = []
     for name, of_camera in observations.views.items():
-        grown_ns = np.rint(drift * (of_camera.stamps_ns - middle_ns)).astype(np.int64)
-        stamps_ns = of_camera.stamps_ns + round(1e9 * offset_s[name]) + grown_ns
+        stamps_ns = moved_ns(of_camera.stamps_ns, offset_s[name], drift, middle_ns)
         poses = observations.motion.at(stamps_ns)
         moved = replace(of_camera, stamps_ns=stamps_ns, ref_T_body=poses.ref_T_body, ref_twist_per_s=poses.twist_per_s)
         if not poses.ok.all():

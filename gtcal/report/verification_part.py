@@ -114,7 +114,7 @@ def verification_part(verification: Verification, calibration: Calibration) -> V
         reasons=verification.reasons,
         findings=tuple(_finding(fault) for fault in verification.faults),
         tiles=_tiles(verification),
-        notes=verification.warnings + _missing(verification, worst_frames),
+        notes=verification.warnings + verification.clock_lines + _missing(verification, worst_frames),
         rows=tuple(rows.values()),
         details=tuple(_details(verification, calibration, rows[name]) for name in _detailed(verification)),
         overlays=worst_frames,

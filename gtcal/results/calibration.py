@@ -14,6 +14,7 @@ from gtcal.estimation.estimate import Estimate
 from gtcal.estimation.observations import Dropped, Views
 from gtcal.files import InputFile
 from gtcal.recordings.capture import Capture
+from gtcal.recordings.detections import IntArray
 from gtcal.results.covariance import JointCovariance
 
 
@@ -156,6 +157,10 @@ class Clock:
     readout_s: dict[str, float] = field(default_factory=dict)
     readout_sigma_s: dict[str, float] = field(default_factory=dict)
 
+    def mocap_ns(self, camera: str, stamps_ns: IntArray) -> IntArray:
+        """(N,) the mocap's time of images that this camera stamped so."""
+        return moved_ns(stamps_ns, self.offset_s[camera], self.drift, self.middle_ns)
+
     @property
     def readout_statements(self) -> tuple[str, ...]:
         """For people, of each rolling shutter whose readout time was found."""
@@ -177,6 +182,12 @@ class Clock:
         ]
         drift = f", growing by {1e6 * self.drift:+.1f} us/s ± {1e6 * self.drift_sigma:.1f}" if self.drift_sigma else ""
         return "; ".join(parts) + drift
+
+
+def moved_ns(stamps_ns: IntArray, offset_s: float, drift: float, middle_ns: int) -> IntArray:
+    """(N,) stamps moved by an offset that grows by ``drift`` per second about ``middle_ns``."""
+    grown_ns = np.rint(drift * (stamps_ns - middle_ns)).astype(np.int64)
+    return stamps_ns + round(1e9 * offset_s) + grown_ns
 
 
 @dataclass(frozen=True)

@@ -96,6 +96,7 @@ class LollypopOptions:
     corners: CornerNoise = field(default_factory=CornerNoise)
     mocap_rate_hz: float = 120.0
     mocap: MocapNoise = field(default_factory=lambda: MocapNoise(translation_mm=0.05, rotation_deg=0.005))
+    clock_offset_s: float = 0.0
     images: ImageOptions = field(default_factory=ImageOptions)
 
     def __post_init__(self) -> None:
@@ -147,6 +148,7 @@ def simulate_lollypop(options: LollypopOptions, *, seed: int) -> LollypopSimulat
         corners=options.corners,
         mocap_rate_hz=options.mocap_rate_hz,
         mocap=options.mocap,
+        clock_offset_s=options.clock_offset_s,
         images=options.images,
     )
     world = simulate_in(_scene(options, rig, seed), of_first_face, seed=seed)
@@ -289,7 +291,7 @@ def _all_faces(
         of_first_after = camera_T_board_after(world.scene, camera_index, world.frame_times_s)
         noise = world.stream("corners", _FACE_STREAM * index + camera_index)
         camera = world.options.rig.cameras[camera_index]
-        stamps = stamps_ns(world.frame_times_s)
+        stamps = stamps_ns(world.frame_times_s + options.clock_offset_s)
         parts.append(
             measured_corners(
                 camera,

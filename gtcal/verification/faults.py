@@ -1,7 +1,8 @@
 """What the errors look like: the smallest correction that explains them, and whose it is.
 
 Candidates: a rigid correction that all cameras share (the markers of the headset moved), one of a single camera,
-another focal length of a single camera (its lens warmed up), and a shift of the device's own centre. Each is fitted to
+another focal length of a single camera (its lens warmed up), a shift of the device's own centre, and an offset of the
+cameras' clock. Each is fitted to
 the errors in px, robustly, and tested against chance with a covariance that accounts for what the sightings of a frame
 share and for the correlation in time (``gtcal.verification.blocks``), plus what the calibration itself leaves open. Of
 those that pass, the one that leaves the smallest errors for the fewest parameters is the finding; with it applied the
@@ -29,7 +30,7 @@ _STEPS, _SETTLED_PX = 12, 1e-3
 _HUBER = 1.5  # in noise sigmas of one coordinate
 _LEAST_SIGMA_PX = 0.02
 # What the data leave open stays as it is: these are no information beside any real recording.
-_FREE_RAD, _FREE_M, _FREE_LOG_FOCAL = np.deg2rad(20.0), 0.5, 0.5
+_FREE_RAD, _FREE_M, _FREE_LOG_FOCAL, _FREE_S = np.deg2rad(20.0), 0.5, 0.5, 1.0
 _FEWEST_FRAMES = 16
 
 
@@ -37,24 +38,27 @@ _FEWEST_FRAMES = 16
 class _Data:
     """The sightings of all cameras in order of time. S rows.
 
-    camera: (S,) index into ``cameras``. in_ref_m: (S, 3) mocap centres in ref. ref_R_body: (S, 3, 3)."""
+    camera: (S,) index into ``cameras``. in_ref_m: (S, 3) mocap centres in ref, in_ref_m_s: (S, 3) their velocity.
+    ref_R_body: (S, 3, 3)."""
 
     cameras: tuple[Camera, ...]
     camera: IntArray
     frame_index: IntArray
     image_px: FloatArray
     in_ref_m: FloatArray
+    in_ref_m_s: FloatArray
     ref_R_body: FloatArray
 
 
 @dataclass(frozen=True)
 class _State:
-    """Extrinsics (C, 4, 4), the growth of the focal lengths (C,) as its logarithm and the device's shift in its body
-    (3,), with the corrections found so far."""
+    """Extrinsics (C, 4, 4), the growth of the focal lengths (C,) as its logarithm, the device's shift in its body (3,)
+    and the time to add to the stamps, with the corrections found so far."""
 
     camera_T_ref: FloatArray
     log_focal: FloatArray
     shift_m: FloatArray
+    offset_s: float = 0.0
 
     def theta(self, index: int, camera: Camera) -> FloatArray:
         """(K,) the intrinsics of a camera."""
@@ -72,14 +76,22 @@ class _Candidate:
 
     @property
     def n_parameters(self) -> int:
-        return {"device_centre": 3, "lens_changed": 1}.get(self.kind, 6)
+        return {"device_centre": 3, "lens_changed": 1, "clock_offset": 1}.get(self.kind, 6)
+
+    @property
+    def prior(self) -> FloatArray:
+        """(K, K) in whitened units: what the data say nothing of is left at zero, so that the correction is the
+        smallest."""
+        rigid = [_FREE_RAD] * 3 + [_FREE_M] * 3
+        free = {"device_centre": [_FREE_M] * 3, "lens_changed": [_FREE_LOG_FOCAL], "clock_offset": [_FREE_S]}
+        return np.diag(1.0 / np.square(free.get(self.kind, rigid)))
 
 
 @dataclass(frozen=True)
 class _Fit:
     """A fitted candidate.
 
-    correction: (K,) rotation vector and translation, shift, or logarithm of the focal length's growth.
+    correction: (K,) rotation vector and translation, shift, logarithm of the focal length's growth, or time.
     covariance: of the same. p_value: that it is chance. effect_px: RMS shift of the image centres it concerns.
     loss: (F,) robust loss of every frame. inflation: for the correlation in time."""
 
@@ -122,6 +134,20 @@ def find_faults(
     return tuple(faults)
 
 
+def find_clock_offset(
+    sightings: Mapping[str, Sightings], calibration: Calibration, options: VerificationOptions
+) -> tuple[float, float] | None:
+    """What is to be added to the cameras' stamps, with its 1-sigma, in s; None where there is too little data."""
+    sightings = {name: seen for name, seen in sightings.items() if len(seen)}
+    data = _data(sightings)
+    if data is None:
+        return None
+    state = _State(np.stack([seen.camera_T_ref for seen in sightings.values()]), np.zeros(len(sightings)), np.zeros(3))
+    search = _Search(data, calibration, tuple(sightings), options, _noise_px(data, state))
+    fit = search.fit(_Candidate("clock_offset"), state)
+    return None if fit is None else (float(fit.correction[0]), float(np.sqrt(fit.covariance[0, 0])))
+
+
 def _is_among(fit: _Fit, fits: list[_Fit]) -> bool:
     return any(other.candidate == fit.candidate for other in fits)
 
@@ -141,7 +167,7 @@ class _Search:
         warmed = [_Candidate("lens_changed", index) for index in range(len(self.names))]
         # With a single camera its own correction and the one that all share are the same.
         shared = [_Candidate("markers_moved")] if len(self.names) > 1 else []
-        return [*moved, *shared, *warmed, _Candidate("device_centre")]
+        return [*moved, *shared, *warmed, _Candidate("device_centre"), _Candidate("clock_offset")]
 
     def real(self, candidates: list[_Candidate], state: _State, level: float) -> list[_Fit]:
         """The fits from ``state`` that chance doesn't explain and that matter."""
@@ -154,11 +180,11 @@ class _Search:
         data = _rows_of(self.data, rows)
         if len(np.unique(data.frame_index)) < _FEWEST_FRAMES:
             return None
-        state, k = start, candidate.n_parameters
+        state = start
         for _ in range(_STEPS):
             residuals, J, valid = _linearised(data, state, candidate)
             weights = _huber_weights(residuals, self.noise_px[data.camera]) * valid
-            H = np.einsum("sik,s,sil->kl", J, weights, J) + _prior(k)
+            H = np.einsum("sik,s,sil->kl", J, weights, J) + candidate.prior
             step = -np.linalg.solve(H, np.einsum("sik,s,si->k", J, weights, residuals))
             state = _moved(state, candidate, step)
             if np.sqrt(np.mean((J @ step) ** 2)) < _SETTLED_PX:
@@ -169,7 +195,7 @@ class _Search:
             return None
         information = np.einsum("sik,s,sil->skl", J, weights, J)
         scores = np.einsum("sik,s,si->sk", J, weights, residuals)
-        of_fit = fit_covariance(scores, information, _prior(k), data.frame_index)
+        of_fit = fit_covariance(scores, information, candidate.prior, data.frame_index)
         if of_fit is None:
             return None
         found = _correction(candidate, start, state)
@@ -201,6 +227,7 @@ class _Search:
             camera=None if best.candidate.camera is None else self.names[best.candidate.camera],
             correction=_matrix(best),
             focal_share=float(np.expm1(best.correction[0])) if best.candidate.kind == "lens_changed" else 0.0,
+            offset_s=float(best.correction[0]) if best.candidate.kind == "clock_offset" else 0.0,
             shift_mm=shift,
             turn_deg=turn,
             shift_sigma_mm=shift_sigma,
@@ -220,6 +247,9 @@ class _Search:
             share, sigma = 100.0 * np.expm1(fit.correction[0]), 100.0 * np.sqrt(fit.covariance[0, 0])
             name = self.names[fit.candidate.camera]
             return f"the focal length of camera {name!r} changed by {share:+.3f} % (1-sigma {sigma:.3f} %)"
+        if fit.candidate.kind == "clock_offset":
+            offset_ms, sigma_ms = 1e3 * fit.correction[0], 1e3 * np.sqrt(fit.covariance[0, 0])
+            return f"the cameras' clock is off: {offset_ms:+.2f} ms (1-sigma {sigma_ms:.2f} ms) is to be added"
         moved = f"moved by {shift:.2f} mm and {turn:.3f} deg (1-sigma {shift_sigma:.2f} mm, {turn_sigma:.3f} deg)"
         if fit.candidate.camera is not None:
             alone = " (or the markers; a single camera can't tell)" if len(self.names) == 1 else ""
@@ -244,7 +274,7 @@ class _Search:
 
     def _left_open(self, candidate: _Candidate, state: _State) -> FloatArray:
         """(K, K) the calibration's own covariance in the tangent of the correction."""
-        if candidate.kind in ("device_centre", "lens_changed"):
+        if candidate.kind in ("device_centre", "lens_changed", "clock_offset"):
             return np.zeros((candidate.n_parameters, candidate.n_parameters))
         known = [self.calibration.cameras[name].camera_T_ref.covariance for name in self.names]
         covariances = np.stack([np.zeros((6, 6)) if matrix is None else matrix for matrix in known])
@@ -260,20 +290,24 @@ def _data(sightings: Mapping[str, Sightings]) -> _Data | None:
     seen = list(sightings.values())
     frame_index = np.concatenate([s.frame_index for s in seen])
     order = np.argsort(frame_index, kind="stable")
-    in_ref = [_to_ref(s) for s in seen]
+    in_ref, velocities = zip(*(_to_ref(s) for s in seen), strict=True)
     return _Data(
         cameras=tuple(s.camera for s in seen),
         camera=np.repeat(np.arange(len(seen)), [len(s) for s in seen])[order],
         frame_index=frame_index[order],
         image_px=np.concatenate([s.image_centre_px for s in seen])[order],
         in_ref_m=np.concatenate(in_ref)[order],
+        in_ref_m_s=np.concatenate(velocities)[order],
         ref_R_body=np.concatenate([s.ref_T_body[:, :3, :3] for s in seen])[order],
     )
 
 
-def _to_ref(seen: Sightings) -> FloatArray:
+def _to_ref(seen: Sightings) -> tuple[FloatArray, FloatArray]:
+    """(S, 3) the mocap's centres and their velocity."""
     ref_T_camera = inverse(seen.camera_T_ref)
-    return np.asarray(seen.mocap_centre_in_camera_m @ ref_T_camera[:3, :3].T + ref_T_camera[:3, 3])
+    ref_R_camera = ref_T_camera[:3, :3]
+    in_ref_m = seen.mocap_centre_in_camera_m @ ref_R_camera.T + ref_T_camera[:3, 3]
+    return in_ref_m, seen.mocap_velocity_in_camera_m_s @ ref_R_camera.T
 
 
 def _rows_of(data: _Data, rows: BoolArray) -> _Data:
@@ -285,6 +319,7 @@ def _rows_of(data: _Data, rows: BoolArray) -> _Data:
         frame_index=data.frame_index[rows],
         image_px=data.image_px[rows],
         in_ref_m=data.in_ref_m[rows],
+        in_ref_m_s=data.in_ref_m_s[rows],
         ref_R_body=data.ref_R_body[rows],
     )
 
@@ -300,7 +335,7 @@ def _noise_px(data: _Data, state: _State) -> FloatArray:
             residuals, J, valid = _linearised(own, corrected, candidate)
             sigma = max(1.4826 * float(np.median(np.abs(residuals[valid]))) if valid.any() else np.inf, _LEAST_SIGMA_PX)
             weights = _huber_weights(residuals, np.full(len(residuals), sigma)) * valid
-            H = np.einsum("sik,s,sil->kl", J, weights, J) + _prior(6)
+            H = np.einsum("sik,s,sil->kl", J, weights, J) + candidate.prior
             step = -np.linalg.solve(H, np.einsum("sik,s,si->k", J, weights, residuals))
             corrected = _moved(corrected, candidate, step)
             if np.sqrt(np.mean((J @ step) ** 2)) < _SETTLED_PX:
@@ -311,7 +346,7 @@ def _noise_px(data: _Data, state: _State) -> FloatArray:
 
 def _points(data: _Data, state: _State) -> tuple[FloatArray, FloatArray]:
     """(S, 3) the device's centres in ref and in the cameras."""
-    in_ref = data.in_ref_m + np.einsum("sij,j->si", data.ref_R_body, state.shift_m)
+    in_ref = data.in_ref_m + np.einsum("sij,j->si", data.ref_R_body, state.shift_m) + state.offset_s * data.in_ref_m_s
     T = state.camera_T_ref[data.camera]
     return in_ref, np.einsum("sij,sj->si", T[:, :3, :3], in_ref) + T[:, :3, 3]
 
@@ -347,6 +382,8 @@ def _linearised(data: _Data, state: _State, candidate: _Candidate) -> tuple[Floa
     J_ref = J_point @ state.camera_T_ref[data.camera, :3, :3]
     if candidate.kind == "markers_moved":
         return residuals, _by_motion(J_ref, in_ref), valid
+    if candidate.kind == "clock_offset":
+        return residuals, J_ref @ data.in_ref_m_s[:, :, None], valid
     return residuals, J_ref @ data.ref_R_body, valid
 
 
@@ -358,6 +395,8 @@ def _by_motion(J_point: FloatArray, points: FloatArray) -> FloatArray:
 def _moved(state: _State, candidate: _Candidate, step: FloatArray) -> _State:
     if candidate.kind == "device_centre":
         return replace(state, shift_m=state.shift_m + step)
+    if candidate.kind == "clock_offset":
+        return replace(state, offset_s=state.offset_s + float(step[0]))
     if candidate.kind == "lens_changed":
         log_focal = state.log_focal.copy()
         log_focal[candidate.camera] += step[0]
@@ -376,6 +415,8 @@ def _correction(candidate: _Candidate, start: _State, end: _State) -> FloatArray
         return end.shift_m - start.shift_m
     if candidate.kind == "lens_changed":
         return np.asarray([(end.log_focal - start.log_focal)[candidate.camera]])
+    if candidate.kind == "clock_offset":
+        return np.array([end.offset_s - start.offset_s])
     if candidate.camera is None:
         return _log(inverse(start.camera_T_ref[0]) @ end.camera_T_ref[0])
     return _log(end.camera_T_ref[candidate.camera] @ inverse(start.camera_T_ref[candidate.camera]))
@@ -394,7 +435,7 @@ def _log(T: FloatArray) -> FloatArray:
 
 def _matrix(fit: _Fit) -> FloatArray:
     """(4, 4) of the correction."""
-    if fit.candidate.kind == "lens_changed":
+    if fit.candidate.kind in ("lens_changed", "clock_offset"):
         return np.eye(4)
     found = fit.correction
     return _exp(found if len(found) == 6 else np.concatenate([np.zeros(3), found]))
@@ -407,12 +448,6 @@ def _adjoint(a_T_b: FloatArray) -> FloatArray:
     adjoint[:3, :3] = adjoint[3:, 3:] = R
     adjoint[3:, :3] = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]) @ R
     return adjoint
-
-
-def _prior(k: int) -> FloatArray:
-    """In whitened units: what the data say nothing of is left at zero, so that the correction is the smallest."""
-    free = {6: [_FREE_RAD] * 3 + [_FREE_M] * 3, 3: [_FREE_M] * 3, 1: [_FREE_LOG_FOCAL]}[k]
-    return np.diag(1.0 / np.square(free))
 
 
 def _huber_weights(residuals: FloatArray, sigma: FloatArray) -> FloatArray:
@@ -428,7 +463,7 @@ def _p_value(found: FloatArray, covariance: FloatArray, degrees_of_freedom: floa
 
 def _sizes(fit: _Fit) -> tuple[float, float, float, float]:
     """shift_mm, turn_deg and their sigmas."""
-    if fit.candidate.kind == "lens_changed":
+    if fit.candidate.kind in ("lens_changed", "clock_offset"):
         return 0.0, 0.0, 0.0, 0.0
     found, covariance = fit.correction, fit.covariance
     shift_mm = 1e3 * float(np.linalg.norm(found[-3:]))

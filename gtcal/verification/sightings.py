@@ -12,12 +12,14 @@ from gtcal.recordings.capture import RefMotion
 from gtcal.recordings.detections import CameraDetections, IntArray
 from gtcal.recordings.trajectory import Gap
 from gtcal.results.calibration import CameraCalibration
+from gtcal.verification.clock import SightingTimes
 from gtcal.verification.face_centres import face_centres
 from gtcal.verification.lollypop import Lollypop
 from gtcal.verification.lollypop_recording import LollypopRecording
 from gtcal.verification.verification import LeftOut, Sightings
 
 _FEWEST_CORNERS = 4
+_STEP_NS = 10_000_000  # of the central difference for a velocity: from nearer poses it would be mostly their noise
 
 
 @dataclass(frozen=True)
@@ -68,13 +70,14 @@ def sightings_of(
     name: str,
     calibrated: CameraCalibration,
     frame_stamps_ns: IntArray,
+    times: SightingTimes,
     *,
     max_viewing_angle_deg: float,
 ) -> tuple[Sightings, Path3D, tuple[LeftOut, ...]]:
     """The sightings of one camera; its path of the device, also where image and mocap have nothing in common; and what
     was left out and why.
 
-    frame_stamps_ns: (F,) the distinct stamps of all cameras, increasing."""
+    frame_stamps_ns: (F,) the distinct stamps of all cameras, increasing. times: what the stamps are by the mocap."""
     detections, device = recording.detections[name], recording.device
     camera, camera_T_ref = calibrated.camera, calibrated.camera_T_ref.a_T_b
     left_out: list[LeftOut] = []
@@ -86,7 +89,7 @@ def sightings_of(
     unseen = n_frames(recording, name, frame_stamps_ns) - detections.n_views
     if unseen > 0:
         left_out.append(LeftOut(name, "the device is not found in the image", unseen))
-    ref_T_body, gaps = recording.motion.poses_at(detections.stamps_ns)
+    gaps = recording.motion.poses_at(times.mocap_ns(camera, detections.stamps_ns))[1]
     has_pose = _with_pose(recording.motion, gaps, leave_out)
     seen = _faces_seen(detections, device)
     seen = seen.select(has_pose[seen.view])
@@ -105,10 +108,12 @@ def sightings_of(
     angle = centres.viewing_angle_rad
     oblique = centres.ok & (angle > np.deg2rad(max_viewing_angle_deg))
     leave_out(f"seen at more than {max_viewing_angle_deg:g} deg from the face's normal", oblique)
-    poses = ref_T_body[seen.view]
-    in_camera = _mocap_centres(device, seen.face, poses, camera_T_ref)
+    poses, in_camera, velocity = _mocap_centres(recording, times, detections, seen, calibrated)
     mocap_px, has_pixel = camera.project(in_camera)
     used = centres.ok & ~oblique
+    readout = used & np.isnan(in_camera[:, 0])
+    leave_out("no mocap pose when the row was read out", readout)
+    used &= ~readout
     path = Path3D(centres.centre_in_camera_m[used], in_camera[used])
     leave_out("the mocap's centre is beyond the lens's field", used & ~has_pixel)
     used &= has_pixel
@@ -129,6 +134,7 @@ def sightings_of(
         image_bearings=bearing[used],
         mocap_centre_px=mocap_px[used],
         mocap_centre_in_camera_m=in_camera[used],
+        mocap_velocity_in_camera_m_s=velocity[used],
         tag_centre_in_camera_m=centres.centre_in_camera_m[used],
         viewing_angle_rad=angle[used],
     )
@@ -166,8 +172,24 @@ def _faces_seen(detections: CameraDetections, device: Lollypop) -> _Seen:
     )
 
 
-def _mocap_centres(device: Lollypop, face: IntArray, ref_T_body: FloatArray, camera_T_ref: FloatArray) -> FloatArray:
-    """(G, 3) the faces' centres in the camera."""
-    in_body = device.centres_in_body_m[face]
-    in_ref = np.einsum("gij,gj->gi", ref_T_body[:, :3, :3], in_body) + ref_T_body[:, :3, 3]
-    return np.asarray(in_ref @ camera_T_ref[:3, :3].T + camera_T_ref[:3, 3])
+def _mocap_centres(
+    recording: LollypopRecording,
+    times: SightingTimes,
+    detections: CameraDetections,
+    seen: _Seen,
+    calibrated: CameraCalibration,
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """ref_T_body (G, 4, 4) when each face was seen, and the faces' centres and velocities (G, 3) in the camera."""
+    rows_px = np.add.reduceat(seen.corners_px[:, 1], seen.start[:-1]) / np.diff(seen.start) if len(seen.view) else None
+    mocap_ns = times.mocap_ns(calibrated.camera, detections.stamps_ns[seen.view], rows_px)
+    in_body_m, camera_T_ref = recording.device.centres_in_body_m[seen.face], calibrated.camera_T_ref.a_T_b
+
+    def in_camera_at(stamps_ns: IntArray) -> tuple[FloatArray, FloatArray]:
+        poses, _ = recording.motion.poses_at(stamps_ns)
+        in_ref_m = np.einsum("gij,gj->gi", poses[:, :3, :3], in_body_m) + poses[:, :3, 3]
+        return poses, in_ref_m @ camera_T_ref[:3, :3].T + camera_T_ref[:3, 3]
+
+    poses, in_camera_m = in_camera_at(mocap_ns)
+    before_m, after_m = (in_camera_at(mocap_ns + step_ns)[1] for step_ns in (-_STEP_NS, _STEP_NS))
+    velocity_m_s = (after_m - before_m) / (2e-9 * _STEP_NS)
+    return poses, in_camera_m, np.nan_to_num(velocity_m_s)  # still, as far as is known, beside a gap

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from enum import IntEnum, StrEnum
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -58,10 +58,15 @@ def error_classes(errors_px: FloatArray) -> npt.NDArray[np.int8]:
     return classes
 
 
+ClockSource = Literal["calibration", "estimate", "trust"]
+
+
 @dataclass(frozen=True)
 class VerificationOptions:
     """Tolerances and limits of ``gtcal.verify``.
 
+    clock: calibration: where the calibration found an offset between the clocks, it is applied. estimate: what is left
+        of one in this recording is found from the sightings, and applied too. trust: the stamps are taken as they are.
     max_rmse_px: e_2D RMSE that passes. 0.5 px: where the paper's green ends, and above all of its table (0.22 to
         0.44 px on a real headset, detection and mocap noise included).
     max_rmse_mm: e_3D RMSE that passes. 1 mm: what 0.5 px are at 1 m through a focal length of 500 px.
@@ -80,6 +85,7 @@ class VerificationOptions:
 
     Raises GtcalError for a value that makes no sense."""
 
+    clock: ClockSource = "calibration"
     max_rmse_px: float = 0.5
     max_rmse_mm: float = 1.0
     confidence: float = 0.95
@@ -96,6 +102,8 @@ class VerificationOptions:
     least_fault_px: float = 0.1
 
     def __post_init__(self) -> None:
+        if self.clock not in get_args(ClockSource):
+            raise GtcalError(f"clock: {self.clock!r} is none of {', '.join(get_args(ClockSource))}")
         for name in ("max_rmse_px", "max_rmse_mm", "least_fault_px"):
             if not 0.0 < getattr(self, name) < np.inf:
                 raise GtcalError(f"{name}: {getattr(self, name)} is not a positive number")
@@ -133,7 +141,8 @@ class Sightings:
     face_index: (S,) the face of the device.
     ref_T_body: (S, 4, 4) the device's body by the mocap.
     image_centre_px: (S, 2) the face's centre as the image has it. image_bearings: (S, 3) its unit bearing.
-    mocap_centre_px: (S, 2) the face's centre by mocap and calibration. mocap_centre_in_camera_m: (S, 3).
+    mocap_centre_px: (S, 2) the face's centre by mocap and calibration. mocap_centre_in_camera_m: (S, 3), and how it
+        moves: mocap_velocity_in_camera_m_s: (S, 3).
     tag_centre_in_camera_m: (S, 3) the face's centre by the image and the face's stated size: its depth is coarse.
     viewing_angle_rad: (S,) between the face's normal and the line of sight, as the image has it.
     """
@@ -148,6 +157,7 @@ class Sightings:
     image_bearings: FloatArray
     mocap_centre_px: FloatArray
     mocap_centre_in_camera_m: FloatArray
+    mocap_velocity_in_camera_m_s: FloatArray
     tag_centre_in_camera_m: FloatArray
     viewing_angle_rad: FloatArray
 
@@ -377,10 +387,11 @@ class PoseCheck:
     rotation_rmse_deg: float
 
 
-FaultKind = Literal["markers_moved", "camera_moved", "lens_changed", "device_centre"]
+FaultKind = Literal["markers_moved", "camera_moved", "lens_changed", "device_centre", "clock_offset"]
 """markers_moved: a rigid correction that all cameras share: the markers of the headset (or, with fixed cameras, the
 mocap's world) moved against the cameras. camera_moved: one camera's own. lens_changed: one camera's focal length, as
-when it warms up. device_centre: the Lollypop's centre is not where its body's origin is."""
+when it warms up. device_centre: the Lollypop's centre is not where its body's origin is. clock_offset: the stamps of
+all cameras are off by the same time."""
 
 
 MAIN_CAUSE = 0.5
@@ -393,8 +404,9 @@ class Fault:
 
     camera: for camera_moved and lens_changed.
     correction: (4, 4). markers_moved: camera_T_ref * correction is every camera's better extrinsic. camera_moved:
-        correction * camera_T_ref is this camera's. device_centre: a shift in the device's body. lens_changed: none.
+        correction * camera_T_ref is this camera's. device_centre: a shift in the device's body. Else none.
     focal_share: for lens_changed, by what share of itself the focal length is larger; else 0.
+    offset_s: for clock_offset, what is to be added to the cameras' stamps; else 0.
     shift_mm, turn_deg: its size: of the ref body's origin, of the camera's centre, or of the device's centre.
     shift_sigma_mm, turn_sigma_deg: 1-sigma of the same (of the most uncertain direction).
     p_value: of the test that there is no such correction, before accounting for the number of tests.
@@ -406,6 +418,7 @@ class Fault:
     camera: str | None
     correction: FloatArray
     focal_share: float
+    offset_s: float
     shift_mm: float
     turn_deg: float
     shift_sigma_mm: float
@@ -440,6 +453,8 @@ class Verification:
     pooled_px, pooled_mm: over the sightings of all cameras.
     pose_checks: empty for a device with one face.
     faults: the findings, the one that explains most first; empty where the errors look like noise.
+    clock_offset_s: what the sightings want added to the cameras' stamps, with its 1-sigma, where it was asked for and
+        applied; beyond what the calibration found, where that is applied too.
     sightings: by camera, empty where the verification was read from a file.
     calibration, recording: what was compared; None where the verification was read from a file."""
 
@@ -453,6 +468,7 @@ class Verification:
     faults: tuple[Fault, ...]
     left_out: tuple[LeftOut, ...]
     warnings: tuple[str, ...]
+    clock_offset_s: tuple[float, float] | None
     device: Lollypop
     options: VerificationOptions
     provenance: Provenance
@@ -461,6 +477,17 @@ class Verification:
     sightings: dict[str, Sightings] = field(default_factory=dict, compare=False, repr=False)
     calibration: Calibration | None = field(default=None, compare=False, repr=False)
     recording: LollypopRecording | None = field(default=None, compare=False, repr=False)
+
+    @property
+    def clock_lines(self) -> tuple[str, ...]:
+        """What was added to the stamps, for people; empty where they were taken as the calibration has them."""
+        if self.clock_offset_s is None:
+            return ()
+        offset_ms, sigma_ms = (1e3 * seconds for seconds in self.clock_offset_s)
+        return (
+            f"clock: {offset_ms:+.2f} ms ± {sigma_ms:.2f} added to the cameras' stamps, as the sightings want; an "
+            "error along the device's motion is partly hidden by that",
+        )
 
     @property
     def duration_s(self) -> float:

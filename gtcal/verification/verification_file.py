@@ -121,6 +121,7 @@ def _verification(document: Mapping[str, Any]) -> Verification:
         faults=tuple(_fault(block) for block in document["faults"]),
         left_out=tuple(LeftOut(**block) for block in document["left_out"]),
         warnings=tuple(document["warnings"]),
+        clock_offset_s=None if document["clock_offset_s"] is None else tuple(document["clock_offset_s"]),
         device=device_from_manifest(document["device"]),
         options=VerificationOptions(**document["options"]),
         provenance=_provenance(document["provenance"]),

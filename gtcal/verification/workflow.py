@@ -15,6 +15,7 @@ from gtcal.recordings.detections import IntArray
 from gtcal.results.calibration import Calibration
 from gtcal.results.provenance import provenance
 from gtcal.verification.blocks import sum_covariance
+from gtcal.verification.clock import STEPS, SightingTimes, remaining_offset_s, sighting_times
 from gtcal.verification.depth_checks import check_poses, triangulate
 from gtcal.verification.error_statistics import bias, coverage, curves, error_statistics, heat_map
 from gtcal.verification.expected_error import expected_error
@@ -56,21 +57,16 @@ def verify(
     recording = detected_lollypop(recording, cameras=lenses, progress=progress)
     check_seen(recording, names)
     frames = np.unique(np.concatenate([_stamps_ns(recording, name) for name in names]))
-    sightings: dict[str, Sightings] = {}
-    paths: dict[str, Path3D] = {}
-    left_out: list[LeftOut] = []
-    for done, name in enumerate(names):
-        progress("comparing the centres", done, len(names))
-        sightings[name], paths[name], reasons = sightings_of(
-            recording,
-            name,
-            calibration.cameras[name],
-            frames,
-            max_viewing_angle_deg=options.max_viewing_angle_deg,
-        )
-        left_out += reasons
-    progress("comparing the centres", len(names), len(names))
+    times = sighting_times(calibration, options)
+    sightings, paths, left_out = _compared(recording, calibration, options, names, frames, times, progress)
     check_related(paths, recording.device)
+    clock_offset_s = None
+    if options.clock == "estimate":
+        for _ in range(STEPS):
+            more_s, sigma_s = remaining_offset_s(sightings, calibration, options)
+            times = replace(times, more_s=times.more_s + more_s)
+            sightings, _, left_out = _compared(recording, calibration, options, names, frames, times, progress)
+        clock_offset_s = (times.more_s, sigma_s)
     cameras = {
         name: replace(_camera(recording, name, seen, frames, options), expected=expected_error(name, seen, calibration))
         for name, seen in sightings.items()
@@ -88,6 +84,7 @@ def verify(
         faults=find_faults(sightings, calibration, options),
         left_out=(*left_out, *narrow),
         warnings=tuple(warnings),
+        clock_offset_s=clock_offset_s,
         device=recording.device,
         options=options,
         provenance=provenance(options, recording.inputs + inputs, time.perf_counter() - started),
@@ -97,6 +94,34 @@ def verify(
         calibration=calibration,
         recording=recording,
     )
+
+
+def _compared(
+    recording: LollypopRecording,
+    calibration: Calibration,
+    options: VerificationOptions,
+    names: list[str],
+    frames: IntArray,
+    times: SightingTimes,
+    progress: Progress,
+) -> tuple[dict[str, Sightings], dict[str, Path3D], list[LeftOut]]:
+    """The sightings of all cameras at these times, their paths of the device, and what was left out."""
+    sightings: dict[str, Sightings] = {}
+    paths: dict[str, Path3D] = {}
+    left_out: list[LeftOut] = []
+    for done, name in enumerate(names):
+        progress("comparing the centres", done, len(names))
+        sightings[name], paths[name], reasons = sightings_of(
+            recording,
+            name,
+            calibration.cameras[name],
+            frames,
+            times,
+            max_viewing_angle_deg=options.max_viewing_angle_deg,
+        )
+        left_out += reasons
+    progress("comparing the centres", len(names), len(names))
+    return sightings, paths, left_out
 
 
 def _stamps_ns(recording: LollypopRecording, name: str) -> IntArray:
