@@ -19,7 +19,7 @@ from gtcal.simulation import MocapNoise
 
 @pytest.fixture(scope="module", name="found")
 def _found() -> Calibration:
-    simulation = simulated(HEADSET, mocap=MocapNoise(0.1, 0.01))
+    simulation = simulated(HEADSET, frames=90, mocap=MocapNoise(0.1, 0.01))
     return calibrate_observations(synchronise(simulation.recording), CalibrationOptions(intrinsics="refine"))
 
 

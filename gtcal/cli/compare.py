@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
@@ -21,6 +21,7 @@ def compare(
     markers: Path | None = None,
     output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None,
     calibrate_intrinsics: bool = False,
+    clock: Literal["trust", "estimate", "per_camera"] = "trust",
     seed: int = 0,
     quiet: Annotated[bool, tyro.conf.arg(aliases=["-q"])] = False,
 ) -> None:
@@ -40,6 +41,7 @@ def compare(
             in the mocap's world, x_m, y_m, z_m.
         output: JSON file to write.
         calibrate_intrinsics: As for 'gtcal calibrate'.
+        clock: 'estimate' or 'per_camera': correct the clocks' offset first, as 'gtcal calibrate' does.
         seed: Of the random numbers.
         quiet: Show no progress and print nothing.
     """
@@ -62,7 +64,8 @@ def compare(
         if prior is None:
             raise GtcalError(f"{measured_x}: states no body_T_board, which Sturm's method needs")
         body_T_board = prior.a_T_b
-    options = CalibrationOptions(intrinsics=intrinsics_mode(calibrate=calibrate_intrinsics, refine=False), seed=seed)
+    mode = intrinsics_mode(calibrate=calibrate_intrinsics, refine=False)
+    options = CalibrationOptions(intrinsics=mode, clock=clock, seed=seed)
     loaded = load_recording(recording)
     device = load_lollypop_recording(lollypop) if lollypop is not None else None
     with shown_progress(quiet) as progress:

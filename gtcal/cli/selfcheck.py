@@ -22,6 +22,7 @@ def selfcheck(
     calibrate_intrinsics: bool = False,
     refine_intrinsics: bool = False,
     mocap_noise: Literal["estimate", "exact"] = "estimate",
+    clock: Literal["trust", "estimate", "per_camera"] = "trust",
     seed: int = 0,
     quiet: Annotated[bool, tyro.conf.arg(aliases=["-q"])] = False,
 ) -> None:
@@ -41,6 +42,7 @@ def selfcheck(
         calibrate_intrinsics: As for 'gtcal calibrate'.
         refine_intrinsics: As for 'gtcal calibrate'.
         mocap_noise: As for 'gtcal calibrate'.
+        clock: 'estimate' or 'per_camera': correct the clocks' offset first, as 'gtcal calibrate' does.
         seed: Of the random starting rotations of stage 1.
         quiet: Show no progress and print nothing.
     """
@@ -54,7 +56,7 @@ def selfcheck(
     from gtcal.selfchecks.selfcheck_file import write_selfcheck
 
     mode = intrinsics_mode(calibrate=calibrate_intrinsics, refine=refine_intrinsics)
-    options = CalibrationOptions(intrinsics=mode, mocap=mocap_noise, seed=seed)
+    options = CalibrationOptions(intrinsics=mode, mocap=mocap_noise, clock=clock, seed=seed)
     with shown_progress(quiet) as progress:
         found = run(load_recording(recording), options, n_folds=folds, progress=progress)
     if output is not None:

@@ -134,6 +134,7 @@ def _without(adjusted: Adjusted, gross: Mapping[str, BoolArray]) -> tuple[Adjust
 
 _FEWEST_VIEWS = 3
 _LEAST_GAIN = 0.05  # a step of a third of a sigma
+_AT_EDGE = "at the edge of the lens's field, where free intrinsics get stuck"
 _GROSS = "mocap pose off by more than its noise explains"
 
 
@@ -148,17 +149,32 @@ def adjust_with_mocap_noise(
     options: CalibrationOptions,
     progress: Progress = silent,
 ) -> Adjusted:
-    """Go on from stage 3 with every A_t free, on the views and corners that it used."""
-    views = adjusted.screened.views
+    """Go on from stage 3 with every A_t free, on the views and corners that it used. Where the intrinsics are free, and
+    corners at the very edge of the field of view keep them from the optimum, without those corners."""
     progress("stage 4: mocap noise", 0, 1)
     graph, values = _problem(adjusted, fit, motion, options)
-    found = _minimised(graph, values, views, options)
+    found = _minimised(graph, values, adjusted.screened.views, options)
     if found.stuck and options.refine_intrinsics:
-        found = min(found, _from_inside(graph, adjusted, fit, motion, options), key=lambda tried: tried.errors[-1])
+        inside = _well_inside(adjusted)
+        smaller, values = _problem(inside, fit, motion, options)
+        found_inside = _minimised(smaller, values, inside.screened.views, options)
+        if not found_inside.stuck:
+            adjusted, graph, found = inside, smaller, found_inside
     estimate = updated(adjusted.estimate, found.values)
     progress("stage 4: mocap noise", 1, 1)
-    screened = replace(adjusted.screened, views=views).under(estimate)
-    return Adjusted(estimate, fit.sigma_px, screened, graph, found.values, found.errors)
+    return Adjusted(estimate, fit.sigma_px, adjusted.screened.under(estimate), graph, found.values, found.errors)
+
+
+def dropped_at_edge(adjusted: Adjusted, freed: Adjusted) -> tuple[Dropped, ...]:
+    """What ``adjust_with_mocap_noise`` left out."""
+    counts = {
+        name: (
+            views.n_views - freed.screened.views[name].n_views,
+            views.n_corners - freed.screened.views[name].n_corners,
+        )
+        for name, views in adjusted.screened.views.items()
+    }
+    return tuple(Dropped(name, _AT_EDGE, *count) for name, count in counts.items() if count[1])
 
 
 def _minimised(
@@ -172,30 +188,18 @@ def _minimised(
     return min(found, _run(graph, values, views, options), key=lambda tried: tried.errors[-1])
 
 
-def _from_inside(
-    graph: gtsam.NonlinearFactorGraph,
-    adjusted: Adjusted,
-    fit: MocapNoiseFit,
-    motion: RefMotion,
-    options: CalibrationOptions,
-) -> Minimisation:
-    """First without the corners near the edge of the field of view, at which the error has a wall; then with them."""
-    views = adjusted.screened.views
-    inside = {
-        name: select_corners(of_camera, _well_inside(of_camera, adjusted.estimate)) for name, of_camera in views.items()
-    }
-    reduced = replace(adjusted, screened=replace(adjusted.screened, views=inside))
-    smaller, start = _problem(reduced, fit, motion, options)
-    found = _run(smaller, _as_stated(start, inside), inside, options)
-    _, values = _problem(adjusted, fit, motion, options)
-    values.update(found.values)
-    return _run(graph, values, views, options)
-
-
 _EDGE = 0.95  # of the field's limit: corners beyond it may leave the field of view on the way
 
 
-def _well_inside(views: Views, estimate: Estimate) -> BoolArray:
+def _well_inside(adjusted: Adjusted) -> Adjusted:
+    """Without the corners at the edge of the stated lenses' fields, where the error has a wall: chosen by where they
+    are, not by how they fit."""
+    estimate, views = adjusted.estimate, adjusted.screened.views
+    inside = {name: select_corners(of_camera, _inside(of_camera, estimate)) for name, of_camera in views.items()}
+    return replace(adjusted, screened=replace(adjusted.screened, views=inside))
+
+
+def _inside(views: Views, estimate: Estimate) -> BoolArray:
     """(N,) the corners that the stated lens sees, and not at its edge."""
     camera_T_board = chain(estimate.camera_T_ref[views.camera.name], views.ref_T_body, estimate.body_T_board)
     T = camera_T_board[views.view_of_corner]

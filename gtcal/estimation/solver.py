@@ -13,7 +13,12 @@ from gtcal.estimation.adjustment import Adjusted, adjust, joint_covariance, join
 from gtcal.estimation.alignment import GuideViews, fitting_views, stage_1, stage_2, without_stage_1
 from gtcal.estimation.choice import choose
 from gtcal.estimation.clustered import clustered
-from gtcal.estimation.errors_in_variables import adjust_with_mocap_noise, fit_mocap_noise, whiteness
+from gtcal.estimation.errors_in_variables import (
+    adjust_with_mocap_noise,
+    dropped_at_edge,
+    fit_mocap_noise,
+    whiteness,
+)
 from gtcal.estimation.estimate import Estimate
 from gtcal.estimation.motion import check_turning, turning
 from gtcal.estimation.observations import Dropped, Observations, Views
@@ -276,7 +281,8 @@ def _with_mocap_noise(
     estimates = {3: adjusted.estimate, 4: freed.estimate}
     if chosen.stage == 3:
         return _Found(adjusted, estimates, covariances, chosen, dropped, (report,))
-    return _Found(freed, estimates, covariances, chosen, dropped + noise.dropped, (report,))
+    dropped += noise.dropped + dropped_at_edge(screened, freed)
+    return _Found(freed, estimates, covariances, chosen, dropped, (report,))
 
 
 def _guides(views: Mapping[str, Views], options: CalibrationOptions, progress: Progress) -> dict[str, GuideViews]:
