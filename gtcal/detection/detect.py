@@ -24,7 +24,7 @@ from gtcal.errors import GtcalError
 from gtcal.files import write_aside
 from gtcal.progress import Progress, silent
 from gtcal.recordings.detections import CameraDetections
-from gtcal.recordings.images import ImageSequence
+from gtcal.recordings.images import Images
 from gtcal.verification.lollypop import Lollypop
 from gtcal.verification.lollypop_detection import see_lollypop
 
@@ -36,7 +36,7 @@ _log = logging.getLogger("gtcal")
 
 
 def detect(
-    images: ImageSequence,
+    images: Images,
     board: Board | Lollypop,
     camera: Camera | None = None,
     *,
@@ -74,7 +74,7 @@ def detect(
 def cached_detect(
     recording_dir: Path,
     camera_name: str,
-    images: ImageSequence,
+    images: Images,
     board: Board | Lollypop,
     camera: Camera | None = None,
     *,
@@ -104,7 +104,7 @@ def cached_detect(
     return found
 
 
-def _see(images: ImageSequence, index: int, board: Board | Lollypop, camera: Camera | None) -> SeenBoard:
+def _see(images: Images, index: int, board: Board | Lollypop, camera: Camera | None) -> SeenBoard:
     if isinstance(board, Lollypop):
         return see_lollypop(images.read(index), board, camera)
     return see_board(images.read(index), board, camera)
@@ -127,9 +127,9 @@ def _why_none(name: str, board: Board | Lollypop, camera: Camera | None, n_tags:
     )
 
 
-def _cache_key(images: ImageSequence, board: Board | Lollypop, camera: Camera | None) -> str:
+def _cache_key(images: Images, board: Board | Lollypop, camera: Camera | None) -> str:
     """A fingerprint of all that the corners depend on."""
-    files = [(str(path.name), *_size_and_time(path)) for path in images.paths]
+    files = [(str(path.name), *_size_and_time(path)) for path in images.files]
     lens: Any = None
     if camera is not None:
         lens = [camera.model.name, camera.image_width_px, camera.image_height_px]
@@ -141,6 +141,7 @@ def _cache_key(images: ImageSequence, board: Board | Lollypop, camera: Camera | 
         "lens": lens,
         "stamps_ns": images.stamps_ns.tolist(),
         "files": files,
+        "source": images.source,
     }
     return hashlib.sha256(json.dumps(everything, sort_keys=True).encode()).hexdigest()
 

@@ -90,6 +90,30 @@ class CameraEntry(Entry):
     rolling_shutter: ShutterEntry | None = Field(
         default=None, description="Given where the camera exposes its rows one after the other."
     )
+    video: str | None = Field(default=None, description="Video file; its frames' own time stamps are taken.")
+    bag: str | None = Field(default=None, description="ROS 1 bag, or ROS 2 bag (folder, .mcap or .db3); see 'topic'.")
+    topic: str | None = Field(default=None, description="The topic of 'bag' with the images; header.stamp is taken.")
+    vrs: str | None = Field(default=None, description="VRS file; see 'stream'.")
+    stream: str | None = Field(
+        default=None, description="The stream with the images: of 'vrs', as 1201-1; of 'video', where it has several."
+    )
+    stamp_offset_ns: int | None = Field(
+        default=None,
+        description="Added to the time stamps of the images. Needed for a video, whose stamps count from its first "
+        "frame: that frame's time.",
+    )
+
+    @property
+    def has_images(self) -> bool:
+        """Whether it names images, of whatever source."""
+        return bool(self.image_sources)
+
+    @property
+    def image_sources(self) -> tuple[str, ...]:
+        """The kinds of image sources that it names, by the names of their fields."""
+        folder = () if self.images is None and self.image_list is None else ("images",)
+        others = tuple(name for name in ("video", "bag", "vrs") if getattr(self, name) is not None)
+        return (*folder, *others)
 
 
 class TrajectoryEntry(Entry):
@@ -221,10 +245,41 @@ def did_you_mean(name: str, choices: Iterable[str]) -> str:
 
 
 def check_sources(cameras: dict[str, CameraEntry]) -> None:
-    """Raises GtcalError where a camera has neither images nor detections."""
+    """Raises GtcalError where a camera has neither images nor detections, images of more than one source, or a field
+    that belongs to another source."""
     for name, camera in cameras.items():
-        if camera.images is None and camera.image_list is None and camera.detections is None:
-            raise GtcalError(f"cameras.{name}: has neither 'images' nor 'image_list' nor 'detections'; give one")
+        where = f"cameras.{name}"
+        sources = camera.image_sources
+        if not sources and camera.detections is None:
+            raise GtcalError(
+                f"{where}: has neither 'images' nor 'image_list' nor 'video' nor 'bag' nor 'vrs' nor 'detections'; "
+                "give one"
+            )
+        if len(sources) > 1:
+            raise GtcalError(f"{where}: has {' and '.join(map(repr, sources))}; its images come from one of them")
+        _check_source_fields(where, camera, sources)
+
+
+def _check_source_fields(where: str, camera: CameraEntry, sources: tuple[str, ...]) -> None:
+    for field, owners in _FIELDS_OF_SOURCES.items():
+        if getattr(camera, field) is not None and not set(owners) & set(sources):
+            raise GtcalError(f"{where}.{field}: belongs to {' or '.join(map(repr, owners))}, which isn't given")
+    if camera.stamp_offset_ns is not None and camera.detections is not None:
+        raise GtcalError(
+            f"{where}.stamp_offset_ns: shifts the stamps of images, not those of 'detections'; leave out one of the two"
+        )
+    if camera.video is not None and camera.stamp_offset_ns is None:
+        raise GtcalError(
+            f"{where}.stamp_offset_ns: is missing; a video's stamps count from its first frame: give that frame's time "
+            "on the mocap's clock in ns (0 where the mocap counts from there too)"
+        )
+
+
+_FIELDS_OF_SOURCES = {
+    "topic": ("bag",),
+    "stream": ("vrs", "video"),
+    "stamp_offset_ns": ("images", "video", "bag", "vrs"),
+}
 
 
 def _bodies_schema(capture: Capture) -> dict[str, Any]:

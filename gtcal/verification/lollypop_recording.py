@@ -20,7 +20,7 @@ from gtcal.readers import write_euroc_csv
 from gtcal.recordings.capture import Capture, RefMotion
 from gtcal.recordings.detection_files import write_detections
 from gtcal.recordings.detections import CameraDetections
-from gtcal.recordings.images import ImageSequence
+from gtcal.recordings.images import Images
 from gtcal.recordings.manifest import (
     MANIFEST_NAMES,
     CameraEntry,
@@ -89,7 +89,7 @@ class LollypopRecording:
     device: Lollypop
     detections: dict[str, CameraDetections]
     device_body: Trajectory
-    images: dict[str, ImageSequence] = field(default_factory=dict)
+    images: dict[str, Images] = field(default_factory=dict)
     platform: Trajectory | None = None
     max_gap_s: float | None = None
     inputs: tuple[InputFile, ...] = ()
@@ -136,7 +136,7 @@ def load_lollypop_recording(path: Path | str) -> LollypopRecording:
         images={
             name: loader.images(name, entry, cameras[name])
             for name, entry in manifest.cameras.items()
-            if entry.images is not None or entry.image_list is not None
+            if entry.has_images
         },
         platform=trajectories.get("platform"),
         device_body=trajectories["device_body"],
@@ -192,8 +192,8 @@ def detected_lollypop(
         )
         for name in missing
     }
-    folders = sorted({path.parent for name in missing for path in recording.images[name].paths})
-    used = tuple(fingerprint(folder) for folder in folders)
+    paths = sorted({path for name in missing for path in recording.images[name].inputs})
+    used = tuple(fingerprint(path) for path in paths)
     return replace(recording, detections=recording.detections | found, inputs=recording.inputs + used)
 
 
