@@ -194,13 +194,21 @@ def test_the_manifest_is_found_in_its_folder(tmp_path: Path) -> None:
 
 def test_the_schema_names_fields_choices_and_what_each_capture_needs() -> None:
     schema = json.loads(json.dumps(manifest_schema()))
-    assert schema["required"] == ["gtcal_recording", "capture", "board", "cameras"]
+    assert schema["required"] == ["gtcal_recording", "capture", "board"]
+    assert schema["anyOf"] == [{"required": ["cameras"]}, {"required": ["layout"]}]
     assert schema["additionalProperties"] is False
     assert "fisheye62" in schema["$defs"]["CameraEntry"]["properties"]["model"]["enum"]
     assert schema["$defs"]["TrajectoryEntry"]["properties"]["format"]["enum"] == ["euroc_csv", "tum"]
     assert {"oneOf", "description"} <= set(schema["properties"]["board"])
     needs = {rule["if"]["properties"]["capture"]["const"]: rule["then"] for rule in schema["allOf"]}
-    assert needs["standing_board"] == {"required": ["platform"], "properties": {"board_body": False}}
-    assert needs["tracked_platform"] == {"required": ["platform", "board_body"], "properties": {}}
+    layout = {"required": ["layout"]}
+    assert needs["standing_board"] == {
+        "anyOf": [{"required": ["platform"]}, layout],
+        "properties": {"board_body": False},
+    }
+    assert needs["tracked_platform"] == {
+        "anyOf": [{"required": ["platform", "board_body"]}, layout],
+        "properties": {},
+    }
     for entry in ("CameraEntry", "TrajectoryEntry"):
         assert all("description" in field for field in schema["$defs"][entry]["properties"].values())

@@ -21,6 +21,8 @@ from gtcal.files import write_text
 from gtcal.readers import TRAJECTORY_READERS
 from gtcal.readers.poses import LengthUnit, PoseConventions, PoseDirection, TimeUnit
 from gtcal.recordings.capture import Capture, check_bodies
+from gtcal.recordings.layouts import LAYOUTS, expanded, find_layout
+from gtcal.recordings.open_questions import check_answered
 from gtcal.recordings.trajectory import QuaternionOrder
 
 MANIFEST_NAMES = ("recording.yaml", "recording.yml", "recording.json")
@@ -41,6 +43,11 @@ def _choice(what: str, choices: Iterable[str]) -> tuple[AfterValidator, WithJson
 
 CameraModelName = Annotated[str, *_choice("a camera model", CAMERA_MODELS)]
 TrajectoryFormat = Annotated[str, *_choice("a trajectory format", TRAJECTORY_READERS)]
+LayoutName = Annotated[str, *_choice("a layout", LAYOUTS)]
+LAYOUT_DESCRIPTION = (
+    "euroc: the folder is laid out as EuRoC's, ASL's or TUM-VI's; cameras and tracked bodies, as far as they are not "
+    "given here, are taken from there."
+)
 CaptureName = Annotated[str, *_choice("a capture kind", [kind.value for kind in Capture])]
 
 
@@ -150,6 +157,7 @@ class Manifest(Entry):
     board: Annotated[dict[str, Any], WithJsonSchema(board_manifest_schema())] = Field(
         description="The board: a preset, or a type and its fields."
     )
+    layout: LayoutName | None = Field(default=None, description=LAYOUT_DESCRIPTION)
     cameras: dict[str, CameraEntry] = Field(min_length=1, description="The cameras by name.")
     platform: TrajectoryEntry | None = Field(default=None, description="The tracked body that carries the cameras.")
     board_body: TrajectoryEntry | None = Field(default=None, description="The tracked body that carries the board.")
@@ -174,9 +182,15 @@ def manifest_schema() -> dict[str, Any]:
     """The JSON schema of a manifest, which bodies each capture needs included."""
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
-        **Manifest.model_json_schema(),
+        **unless_layout(Manifest.model_json_schema(), "cameras"),
         "allOf": [_bodies_schema(capture) for capture in Capture],
     }
+
+
+def unless_layout(schema: dict[str, Any], *names: str) -> dict[str, Any]:
+    """The schema of a manifest in which a layout may stand for these fields."""
+    required = [name for name in schema["required"] if name not in names]
+    return {**schema, "required": required, "anyOf": [{"required": list(names)}, {"required": ["layout"]}]}
 
 
 def find_manifest(path: Path) -> Path:
@@ -189,7 +203,11 @@ def find_manifest(path: Path) -> Path:
         raise GtcalError(f"{path}: there is no such recording; expected a folder with {MANIFEST_NAMES[0]} in it")
     found = [path / name for name in MANIFEST_NAMES if (path / name).is_file()]
     if not found:
-        raise GtcalError(f"{path}: there is no manifest in this folder; expected {' or '.join(MANIFEST_NAMES)}")
+        laid_out = "; it is laid out as EuRoC's, but which board was shown stands nowhere" if find_layout(path) else ""
+        raise GtcalError(
+            f"{path}: there is no manifest in this folder; expected {' or '.join(MANIFEST_NAMES)}{laid_out}; "
+            f"'gtcal init {path}' drafts one"
+        )
     if len(found) > 1:
         raise GtcalError(f"{path}: there are {' and '.join(f.name for f in found)}; keep one")
     return found[0]
@@ -215,13 +233,14 @@ def read_manifest(path: Path) -> Manifest:
 
 
 def load_fields(path: Path) -> dict[str, Any]:
-    """The fields of a manifest file, unchecked.
+    """The fields of a manifest file, unchecked, with those that its layout stands for.
 
-    Raises GtcalError where it can't be read, is no YAML or JSON, or holds no fields."""
+    Raises GtcalError where it can't be read, is no YAML or JSON, holds no fields, or leaves a question open."""
     data = _load(path)
     if not isinstance(data, dict):
         raise GtcalError(f"{path}: is no manifest; expected fields such as 'gtcal_recording: 1'")
-    return data
+    check_answered(path, data)
+    return expanded(path, data)
 
 
 def validated(path: Path, data: dict[str, Any], kind: type[M]) -> M:
@@ -286,7 +305,10 @@ def _bodies_schema(capture: Capture) -> dict[str, Any]:
     forbidden = [name for name in ("platform", "board_body") if name not in capture.bodies]
     return {
         "if": {"properties": {"capture": {"const": capture.value}}},
-        "then": {"required": list(capture.bodies), "properties": dict.fromkeys(forbidden, False)},
+        "then": {
+            "anyOf": [{"required": list(capture.bodies)}, {"required": ["layout"]}],
+            "properties": dict.fromkeys(forbidden, False),
+        },
     }
 
 

@@ -132,6 +132,9 @@ def write_recording(recording: Recording, folder: Path | str) -> Path:
         write_detections(folder / detections_name(name), detections)
     for name, trajectory in recording.motion.trajectories.items():
         write_euroc_csv(folder / f"{name}.csv", trajectory)
+    bodies = {
+        name: TrajectoryEntry(trajectory=f"{name}.csv", format="euroc_csv") for name in recording.motion.trajectories
+    }
     manifest = Manifest(
         gtcal_recording=1,
         capture=recording.capture.value,
@@ -140,10 +143,8 @@ def write_recording(recording: Recording, folder: Path | str) -> Path:
             name: camera_entry(camera, recording.images.get(name), folder, with_detections=name in recording.detections)
             for name, camera in recording.cameras.items()
         },
-        **{
-            name: TrajectoryEntry(trajectory=f"{name}.csv", format="euroc_csv")
-            for name in recording.motion.trajectories
-        },
+        platform=bodies.get("platform"),
+        board_body=bodies.get("board_body"),
         max_gap_ms=None if recording.max_gap_s is None else recording.max_gap_s * 1000,
     )
     write_manifest(folder / MANIFEST_NAMES[0], manifest)

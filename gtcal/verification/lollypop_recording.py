@@ -22,14 +22,17 @@ from gtcal.recordings.detection_files import write_detections
 from gtcal.recordings.detections import CameraDetections
 from gtcal.recordings.images import Images
 from gtcal.recordings.manifest import (
+    LAYOUT_DESCRIPTION,
     MANIFEST_NAMES,
     CameraEntry,
     CaptureName,
     Entry,
+    LayoutName,
     TrajectoryEntry,
     check_sources,
     find_manifest,
     load_fields,
+    unless_layout,
     validated,
     write_manifest,
 )
@@ -51,6 +54,7 @@ class LollypopManifest(Entry):
     device: Annotated[dict[str, Any] | str, WithJsonSchema(device_manifest_schema())] = Field(
         description="The Lollypop: a preset, or its tag and markers, or the name of a file that says this."
     )
+    layout: LayoutName | None = Field(default=None, description=LAYOUT_DESCRIPTION)
     cameras: dict[str, CameraEntry] = Field(min_length=1, description="The cameras by name.")
     platform: TrajectoryEntry | None = Field(default=None, description="The tracked body that carries the cameras.")
     device_body: TrajectoryEntry = Field(description="The tracked body of the Lollypop.")
@@ -66,7 +70,8 @@ class LollypopManifest(Entry):
 
 def lollypop_manifest_schema() -> dict[str, Any]:
     """The JSON schema of a Lollypop recording's manifest."""
-    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **LollypopManifest.model_json_schema()}
+    schema = unless_layout(LollypopManifest.model_json_schema(), "cameras", "device_body")
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema}
 
 
 @dataclass(frozen=True)
