@@ -14,6 +14,7 @@ COMMANDS = {
     "demo": "render small recordings, calibrate, verify, and compare with the truth",
     "board": "draw a calibration board to scale",
     "init": "look at a folder and draft the manifest of a recording",
+    "info": "show what is in a recording or a result: rates, gaps, overlap, coverage, as a picture too",
     "calibrate": "find every camera's extrinsic and the board-to-body transform from a recording",
     "uncertainty": "say how sure a calibration is: in mm, deg and px, by kind, and where it is weak",
     "compare": "calibrate a recording by other methods too, and compare",

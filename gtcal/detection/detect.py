@@ -89,9 +89,7 @@ def cached_detect(
     the corners are returned all the same, and a warning of the logger "gtcal" says so.
 
     Raises GtcalError where an image can't be read or isn't of the camera's size."""
-    key = _cache_key(images, board, camera)
-    safe_name = re.sub(r"[^\w.-]", "_", camera_name)
-    path = recording_dir / CACHE_FOLDER / f"detections_{safe_name}_{key[:16]}.npz"
+    path = _cache_path(recording_dir, camera_name, images, board, camera)
     cached = None if redo else _read_cache(path)
     if cached is not None:
         progress(f"detecting the board in {camera_name} (kept from before)", len(images), len(images))
@@ -102,6 +100,23 @@ def cached_detect(
     except GtcalError as error:
         _log.warning("the corners found in %s are not kept for the next time: %s", camera_name, error)
     return found
+
+
+def kept_detections(
+    recording_dir: Path, camera_name: str, images: Images, board: Board | Lollypop, camera: Camera | None = None
+) -> CameraDetections | None:
+    """What ``cached_detect`` kept, None where that is nothing or of other images.
+
+    Raises GtcalError where an image file is gone."""
+    return _read_cache(_cache_path(recording_dir, camera_name, images, board, camera))
+
+
+def _cache_path(
+    recording_dir: Path, camera_name: str, images: Images, board: Board | Lollypop, camera: Camera | None
+) -> Path:
+    key = _cache_key(images, board, camera)
+    safe_name = re.sub(r"[^\w.-]", "_", camera_name)
+    return recording_dir / CACHE_FOLDER / f"detections_{safe_name}_{key[:16]}.npz"
 
 
 def _see(images: Images, index: int, board: Board | Lollypop, camera: Camera | None) -> SeenBoard:
