@@ -42,9 +42,9 @@ def test_a_time_base_that_is_no_decimal_is_rounded_by_whole_numbers(tmp_path: Pa
 
 @pytest.mark.parametrize("codec", ["ffv1", "libx264"])
 def test_frames_may_be_asked_for_in_any_order_and_by_threads(codec: str, tmp_path: Path) -> None:
-    """With B-frames and key frames far apart, which is where counting frames after a seek goes wrong."""
+    """With B-frames across key frames far apart, which is where counting frames after a seek goes wrong."""
     smooth = [np.full((48, 64), 4 * i, np.uint8) for i in range(N)]
-    options = {} if codec == "ffv1" else {"g": "20", "bf": "2", "qp": "0"}
+    options = {} if codec == "ffv1" else {"g": "20", "bf": "2", "qp": "0", "x264-params": "open-gop=1"}
     pixel_format = "gray" if codec == "ffv1" else "yuv420p"
     path = write_video(tmp_path / "a.mkv", smooth, PTS, codec=codec, pixel_format=pixel_format, options=options)
     images = video_images(path, 0)
@@ -88,6 +88,19 @@ def test_a_cut_off_video_is_told(suffix: str, share: float, tmp_path: Path) -> N
     with pytest.raises(GtcalError, match=rf"a{suffix}: .*(cut off|holds no)") as caught:
         video_images(path, 0)
     assert "\n" not in str(caught.value)
+
+
+def test_a_damaged_frame_is_told(tmp_path: Path) -> None:
+    path = write_video(
+        tmp_path / "a.avi", PICTURES, range(N), time_base=Fraction(1, 25), codec="mjpeg", pixel_format="yuvj420p"
+    )
+    data = bytearray(path.read_bytes())
+    middle = len(data) // 2
+    data[middle : middle + 200] = b"\xff\xd9" * 100  # ends of images
+    path.write_bytes(data)
+    images = video_images(path, 0)
+    with pytest.raises(GtcalError, match=r"a\.avi: (the frame before )?frame \d+ .*(can't be decoded|damaged)"):
+        list(map(images.read, range(N)))
 
 
 def test_streams_are_named(tmp_path: Path) -> None:

@@ -33,6 +33,8 @@ _SEEK_BEYOND = 16
 # A video ends with its last frame; one that lasts this many of its frames longer has lost some.
 _MISSING_FRAMES = 3
 _UNEVEN = 0.1
+# Decoders fill what is damaged with what they guess, unless told not to; damage that a codec can't tell stays unseen.
+_REFUSE_DAMAGE = "crccheck+bitstream+buffer+explode"
 
 
 @dataclass(frozen=True)
@@ -294,7 +296,9 @@ class _Decoder:
                 self._container.close()
             self._container = _opened(self.path)
         stream = self._container.streams[self.stream]
+        assert isinstance(stream, _av().VideoStream)
+        stream.codec_context.options = {"err_detect": _REFUSE_DAMAGE}
         if pts is not None:
             self._container.seek(pts, stream=stream)
         self._next = 0 if pts is None else int(np.searchsorted(self.pts, pts))
-        self._frames = self._container.decode(stream)  # type: ignore[assignment]
+        self._frames = self._container.decode(stream)
