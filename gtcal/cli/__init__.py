@@ -34,8 +34,9 @@ OVERVIEW = """usage: gtcal COMMAND ...
 Camera-to-mocap calibration: where each camera sits relative to the mocap system, and how sure that is.
 
 The usual way: 'gtcal board' draws a board to print; you record it with the cameras and the mocap running;
-'gtcal init FOLDER' drafts the manifest and 'gtcal info FOLDER' shows what you have; 'gtcal calibrate FOLDER' writes calibration.json; 'gtcal verify calibration.json LOLLYPOP_RECORDING' tells
-whether it is true. 'gtcal demo' shows all of it.
+'gtcal init FOLDER' drafts the manifest and 'gtcal info FOLDER' shows what you have; 'gtcal calibrate FOLDER' writes
+calibration.json; 'gtcal verify calibration.json LOLLYPOP_RECORDING' tells whether it is true. 'gtcal demo' shows all
+of it.
 
 commands:
 {commands}
