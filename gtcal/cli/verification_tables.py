@@ -28,15 +28,8 @@ def print_verification(verification: Verification, *, verbose: bool = False) -> 
     if verbose:
         parts += [_bias_line(camera) for camera in verification.cameras.values()]
         parts += [Text(f"left out of {left.camera}: {left.count}: {left.reason}") for left in verification.left_out]
-    parts += [Text(f"note: {note}", style="cyan") for note in _image_notes(verification)]
     parts += [Text(f"warning: {warning}", style="yellow") for warning in verification.warnings]
     Console().print(Group(*parts))
-
-
-def _image_notes(verification: Verification) -> list[str]:
-    """What the recording's images were taken as; none for a verification from a file."""
-    recording = verification.recording
-    return [] if recording is None else [note for images in recording.images.values() for note in images.notes]
 
 
 def _table(verification: Verification) -> Table:

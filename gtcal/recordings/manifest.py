@@ -235,7 +235,7 @@ def read_manifest(path: Path) -> Manifest:
 def load_fields(path: Path) -> dict[str, Any]:
     """The fields of a manifest file, unchecked, with those that its layout stands for.
 
-    Raises GtcalError where it can't be read, is no YAML or JSON, holds no fields, or leaves a question open."""
+    Raises GtcalError where it can't be read, is no YAML or JSON, or holds no fields."""
     data = _load(path)
     if not isinstance(data, dict):
         raise GtcalError(f"{path}: is no manifest; expected fields such as 'gtcal_recording: 1'")
