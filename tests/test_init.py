@@ -149,6 +149,17 @@ def test_names_that_are_no_stamps_are_a_question(tmp_path: Path) -> None:
     assert fields["board_body"] == {"trajectory": "board.txt", "format": "tum"}
 
 
+def test_a_damaged_image_is_left_aside(tmp_path: Path) -> None:
+    camera(tmp_path / "cam0")
+    camera(tmp_path / "cam1")
+    (tmp_path / "cam1" / "data" / f"{STAMPS_NS[0]}.png").write_bytes(b"\x89PNG")
+    body(tmp_path / "headset")
+    found = survey(tmp_path)
+    assert [entry.name for entry in found.cameras] == ["cam0"]
+    assert "the image file is cut off" in found.left[0]
+    assert "# Left aside: " in draft(found, tmp_path / "recording.yaml").text
+
+
 def test_bodies_whose_names_tell_nothing_are_a_question(tmp_path: Path) -> None:
     camera(tmp_path / "cam0")
     for name in ("a", "b"):
@@ -180,7 +191,8 @@ def test_clocks_that_have_nothing_in_common_are_said(tmp_path: Path) -> None:
     early = wandering_trajectory("headset")
     write_euroc_csv(tmp_path / "headset.csv", replace(early, stamps_ns=early.stamps_ns - EPOCH_NS))
     text = draft(survey(tmp_path), tmp_path / "recording.yaml").text
-    assert re.search(rf"WARNING: cam0 \({STAMPS_NS[0]} to .* have no time in common", text.replace("\n# ", " "))
+    expected = rf"WARNING: cam0 \({STAMPS_NS[0]} to .* has no time in common with headset"
+    assert re.search(expected, text.replace("\n# ", " "))
 
 
 def test_every_format_of_the_registry_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -34,10 +34,10 @@ def init(
     from gtcal.overview.survey import survey
     from gtcal.recordings.manifest import MANIFEST_NAMES
 
-    found = survey(folder)
     manifest = output if output is not None else folder / MANIFEST_NAMES[0]
     if manifest.exists() and not force:
         raise GtcalError(f"{manifest}: is there already; --force replaces it, -o names another file")
+    found = survey(folder)
     drafted = draft(found, manifest)
     write_text(manifest, drafted.text)
     if not quiet:

@@ -112,17 +112,10 @@ def _roles(bodies: Iterable[MocapBody]) -> dict[str, list[MocapBody]]:
     """The bodies that by their names carry the cameras or the board; 'other': those whose names tell nothing."""
     roles: dict[str, list[MocapBody]] = {"platform": [], "board_body": [], "other": []}
     for body in bodies:
-        words = _named(body).lower()
+        words = body.called.lower()
         role = "board_body" if _BOARD.search(words) else "platform" if _PLATFORM.search(words) else "other"
         roles[role].append(body)
     return roles
-
-
-def _named(body: MocapBody) -> str:
-    """What the body is called: in the file, or by it; data.csv by its folder."""
-    if body.name is not None:
-        return body.name
-    return body.path.parent.name if body.path.stem in ("data", "poses", "trajectory") else body.path.stem
 
 
 def _capture(roles: dict[str, list[MocapBody]]) -> Capture | None:
@@ -139,11 +132,11 @@ def _capture(roles: dict[str, list[MocapBody]]) -> Capture | None:
 def _write_capture(lines: _Lines, roles: dict[str, list[MocapBody]], bodies: tuple[MocapBody, ...]) -> None:
     capture = _capture(roles)
     if capture is None:
-        names = ", ".join(_named(body) for body in bodies) or "none was found"
+        names = ", ".join(body.called for body in bodies) or "none was found"
         lines.ask("capture", f"What was tracked: {_CAPTURES}? Tracked bodies: {names}.")
         return
     told = " and ".join(
-        f"{_named(roles[role][0])!r} is taken for {what}"
+        f"{roles[role][0].called!r} is taken for {what}"
         for role, what in (("platform", "what carries the cameras"), ("board_body", "the board"))
         if roles[role]
     )
@@ -347,9 +340,12 @@ def _times_apart(found: Survey) -> Iterable[str]:
         if camera.images is None or "stamp_offset_ns" in camera.asked:
             continue
         first, last = int(camera.images.stamps_ns[0]), int(camera.images.stamps_ns[-1])
-        for body in found.bodies:
-            if body.span_ns is not None and (last < body.span_ns[0] or first > body.span_ns[1]):
-                yield (
-                    f"WARNING: {camera.name} ({first} to {last} ns) and {_named(body)} ({body.span_ns[0]} to "
-                    f"{body.span_ns[1]} ns) have no time in common: another clock? See 'stamp_offset_ns'."
-                )
+        spans = {body.called: body.span_ns for body in found.bodies if body.span_ns is not None}
+        apart = [
+            f"{name} ({span[0]} to {span[1]} ns)" for name, span in spans.items() if last < span[0] or first > span[1]
+        ]
+        if apart:
+            yield (
+                f"WARNING: {camera.name} ({first} to {last} ns) has no time in common with {', '.join(apart)}: another "
+                "clock? See 'stamp_offset_ns'."
+            )

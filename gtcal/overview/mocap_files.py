@@ -21,12 +21,14 @@ _STAND_INS: dict[str, Any] = {"quaternion": "wxyz", "length_unit": "m", "time_un
 class MocapBody:
     """One tracked body of a file.
 
-    name: in the file, None where the file holds but one. open_fields: of the manifest's entry, which the file leaves
-    open. n_samples. span_ns: first and last stamp, None where that is open."""
+    name: in the file, None where the file holds but one and the manifest needs none. called: what people call it: in
+    the file, or by it. open_fields: of the manifest's entry, which the file leaves open. n_samples. span_ns: first and
+    last stamp, None where that is open."""
 
     path: Path
     format: str
     name: str | None
+    called: str
     open_fields: tuple[str, ...]
     n_samples: int
     span_ns: tuple[int, int] | None
@@ -51,6 +53,7 @@ def _inspected(summary: Any) -> tuple[MocapBody, ...]:
             summary.path,
             summary.format,
             None if alone else body.name,
+            _by_file(summary.path) if body.name == summary.path.stem else body.name,
             tuple(name for name in summary.open_fields if name != "rotation" or body.rotation is None),
             body.n_seen,
             span_ns,
@@ -61,7 +64,7 @@ def _inspected(summary: Any) -> tuple[MocapBody, ...]:
 
 def _tried(path: Path) -> tuple[MocapBody, ...]:
     """By whichever of the readers takes the file; without bags and other binary files."""
-    if path.suffix.lower() in (".c3d", *BAG_SUFFIXES):
+    if path.is_dir() or path.suffix.lower() in (".c3d", *BAG_SUFFIXES):
         return ()
     for name in sorted(TRAJECTORY_READERS, key=lambda name: name != "tum"):  # a CSV is no TUM text, but the other way
         found = _read(path, name)
@@ -84,4 +87,9 @@ def _read(path: Path, format_name: str) -> MocapBody | None:
             continue
         stamps_ns = trajectory.stamps_ns
         span_ns = None if "time_unit" in open_fields else (int(stamps_ns[0]), int(stamps_ns[-1]))
-        return MocapBody(path, format_name, None, tuple(open_fields), len(stamps_ns), span_ns)
+        return MocapBody(path, format_name, None, _by_file(path), tuple(open_fields), len(stamps_ns), span_ns)
+
+
+def _by_file(path: Path) -> str:
+    """data.csv is called by its folder."""
+    return path.parent.name if path.stem in ("data", "poses", "trajectory") else path.stem

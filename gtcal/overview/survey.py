@@ -74,14 +74,17 @@ def survey(folder: Path) -> Survey:
     if not folder.is_dir():
         raise GtcalError(f"{folder}: there is no such folder")
     left: list[str] = []
-    files = [path for path in _files(folder) if path.name not in MANIFEST_NAMES]
+    try:
+        files = [path for path in _files(folder) if path.name not in MANIFEST_NAMES]
+    except OSError as error:
+        raise GtcalError(f"{error.filename}: can't be looked into: {error.strerror}") from error
     documents = {path: block for path in files if (block := _yaml_block(path)) is not None}
     cameras = [*_image_cameras(folder, files, left), *_packed_cameras(folder, files, left)]
     lenses = _lenses(folder, documents, left)
     named = _with_names(folder, cameras)
     found = tuple(_with_lens(camera, lenses) for camera in _with_detections(folder, named, files))
     lists = {path for path in files if _first_line(path).strip().lower().endswith("filename")}
-    bodies = [body for path in files if _may_be_mocap(path) and path not in lists for body in mocap_bodies(path)]
+    bodies = [body for path in _mocap_files(files) if path not in lists for body in mocap_bodies(path)]
     if not found and not bodies:
         raise GtcalError(
             f"{folder}: holds no images, videos, bags or VRS files and no file of a mocap that gtcal reads"
@@ -109,10 +112,14 @@ def _first_line(path: Path) -> str:
         return file.readline(4096).decode("utf-8", errors="replace").lstrip("\ufeff# ")
 
 
-def _may_be_mocap(path: Path) -> bool:
-    if path.suffix.lower() not in MOCAP_SUFFIXES:
-        return False
-    return not _first_line(path).startswith(_DETECTION_HEADERS)
+def _mocap_files(files: list[Path]) -> Iterator[Path]:
+    """Those that may hold tracked bodies; of a ROS 2 bag its folder."""
+    yield from _bag_folders(files)
+    for path in files:
+        in_bag = path.suffix in BAG_SUFFIXES and (path.parent / "metadata.yaml").is_file()
+        corners = _first_line(path).startswith(_DETECTION_HEADERS)
+        if path.suffix.lower() in MOCAP_SUFFIXES and not in_bag and not corners:
+            yield path
 
 
 def _without_sensors(bodies: Iterable[MocapBody]) -> Iterator[MocapBody]:
@@ -131,7 +138,10 @@ def _image_cameras(folder: Path, files: list[Path], left: list[str]) -> Iterator
         if n < _FEWEST_IMAGES:
             left.append(f"{relative(images_in, folder)}: a single image, taken for no camera's")
             continue
-        yield _image_camera(folder, images_in)
+        try:
+            yield _image_camera(folder, images_in)
+        except GtcalError as error:
+            left.append(str(error))
 
 
 def _image_camera(folder: Path, images_in: Path) -> FoundCamera:
@@ -183,11 +193,16 @@ def _packed_cameras(folder: Path, files: list[Path], left: list[str]) -> Iterato
 
 def _packed_files(files: list[Path]) -> Iterator[Path]:
     """A ROS 2 bag is its folder."""
-    folders = {path.parent for path in files if path.name == "metadata.yaml"}
-    yield from sorted({path.parent for path in files if path.parent in folders and path.suffix in BAG_SUFFIXES})
+    yield from _bag_folders(files)
+    folders = _bag_folders(files)
     for path in files:
         if path.suffix.lower() in (*VIDEO_SUFFIXES, *BAG_SUFFIXES, *VRS_SUFFIXES) and path.parent not in folders:
             yield path
+
+
+def _bag_folders(files: list[Path]) -> list[Path]:
+    with_metadata = {path.parent for path in files if path.name == "metadata.yaml"}
+    return sorted({path.parent for path in files if path.parent in with_metadata and path.suffix in BAG_SUFFIXES})
 
 
 def _cameras_of(folder: Path, path: Path) -> Iterator[FoundCamera]:
