@@ -22,7 +22,6 @@ def write_video(
     codec: str = "ffv1",
     pixel_format: str = "gray",
     options: dict[str, str] | None = None,
-    rotation: int = 0,
 ) -> Path:
     """Pictures (H, W) or (H, W, 3 rgb) as the frames of a video, each at its own time stamp."""
     import av

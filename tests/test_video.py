@@ -68,6 +68,35 @@ def test_stamps_count_from_the_first_frame(tmp_path: Path) -> None:
     np.testing.assert_array_equal(images.read(7), PICTURES[7])
 
 
+# The matrix that an MP4 shows a track by: as it is, and turned by a quarter.
+UPRIGHT = bytes.fromhex("00010000" + 3 * "00000000" + "00010000" + 3 * "00000000" + "40000000")
+TURNED = bytes.fromhex("00000000" + "00010000" + "00000000" + "ffff0000" + 4 * "00000000" + "40000000")
+
+
+def test_a_video_marked_as_turned_is_taken_as_stored_and_said(tmp_path: Path) -> None:
+    base = Fraction(1, 25)
+    path = write_video(tmp_path / "a.mp4", PICTURES, range(N), time_base=base, codec="libx264", pixel_format="yuv420p")
+    upright = video_images(path, 0)
+    data = path.read_bytes()
+    at = data.rindex(UPRIGHT)  # the track's comes after the movie's
+    path.write_bytes(data[:at] + TURNED + data[at + len(TURNED) :])
+    turned = video_images(path, 0)
+    assert "marked to be shown turned by -90 deg; the frames are taken as they are stored, 64 x 48" in turned.notes[0]
+    np.testing.assert_array_equal(turned.read(5), upright.read(5))
+
+
+def test_an_interlaced_video_is_refused(tmp_path: Path) -> None:
+    options = {"flags": "+ilme+ildct", "x264-params": "tff=1"}
+    path = write_video(tmp_path / "a.mkv", PICTURES, PTS, codec="libx264", pixel_format="yuv420p", options=options)
+    with pytest.raises(GtcalError, match=r"a\.mkv: is interlaced: each frame is two half images"):
+        video_images(path, 0)
+
+
+def test_colour_becomes_grey(tmp_path: Path) -> None:
+    path = write_video(tmp_path / "a.mkv", [np.dstack([p] * 3) for p in PICTURES], PTS, pixel_format="bgr0")
+    assert int(np.abs(video_images(path, 0).read(4).astype(int) - PICTURES[4]).max()) <= 1
+
+
 def test_deep_pixels_are_scaled_and_said(tmp_path: Path) -> None:
     path = write_video(tmp_path / "a.mkv", PICTURES, PTS, pixel_format="gray10le")
     images = video_images(path, 0)
