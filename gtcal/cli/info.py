@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 if TYPE_CHECKING:
+    from gtcal.progress import Progress
     from gtcal.recordings.recording import Recording
     from gtcal.verification.lollypop_recording import LollypopRecording
 
@@ -48,16 +49,16 @@ def info(
         print(f"written: {figure}")
 
 
-def _loaded(path: Path, lollypop: bool, detect: bool, progress: object) -> Recording | LollypopRecording:
+def _loaded(path: Path, lollypop: bool, detect: bool, progress: Progress) -> Recording | LollypopRecording:
     from gtcal.recordings.recording import load_recording
     from gtcal.verification.lollypop_recording import detected_lollypop, load_lollypop_recording
     from gtcal.workflow import detected
 
     if lollypop:
         loaded = load_lollypop_recording(path)
-        return detected_lollypop(loaded, progress=progress) if detect else loaded  # type: ignore[arg-type]
+        return detected_lollypop(loaded, progress=progress) if detect else loaded
     recording = load_recording(path)
-    return detected(recording, progress=progress) if detect else recording  # type: ignore[arg-type]
+    return detected(recording, progress=progress) if detect else recording
 
 
 def _recording(recording: Recording | LollypopRecording, figure: Path | None, quiet: bool) -> None:
