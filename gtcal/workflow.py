@@ -75,8 +75,7 @@ def detected(recording: Recording, *, progress: Progress = silent, redo: bool = 
         for name in missing
     }
     used = tuple(
-        fingerprint(image_folder)
-        for image_folder in sorted({path.parent for name in missing for path in recording.images[name].paths})
+        fingerprint(path) for path in sorted({path for name in missing for path in recording.images[name].inputs})
     )
     return replace(recording, detections=recording.detections | found, inputs=recording.inputs + used)
 

@@ -87,7 +87,7 @@ def test_version_is_that_of_the_package() -> None:
     ("arguments", "said"),
     [
         ([], "usage: gtcal COMMAND"),
-        (["calibrat"], "'calibrat' is no command; commands: demo, board, calibrate"),
+        (["calibrat"], "'calibrat' is no command; commands: demo, board, init, info, calibrate"),
         (["calibrate"], "RECORDING"),
         (["calibrate", "recording", "--kernel", "Foo"], "Foo"),
         (["calibrate", "recording", "--eps", "small"], "small"),

@@ -176,4 +176,5 @@ def test_the_schema_of_a_lollypop_recording_names_what_the_manifest_has(
     schema = json.loads(capsys.readouterr().out)
     manifest = yaml.safe_load((folder / "recording.yaml").read_text())
     assert set(manifest) <= set(schema["properties"])
-    assert set(schema["required"]) == {"gtcal_recording", "capture", "device", "cameras", "device_body"}
+    assert set(schema["required"]) == {"gtcal_recording", "capture", "device"}
+    assert schema["anyOf"] == [{"required": ["cameras", "device_body"]}, {"required": ["layout"]}]

@@ -113,6 +113,22 @@ def test_yaml_is_read_as_people_mean_it(tmp_path: Path) -> None:
         (changed("platform.length_unit", "cm"), r"platform\.length_unit: is 'cm'; expected 'm' or 'mm'"),
         (changed("max_gap_ms", -1), "max_gap_ms: is -1; expected greater than 0"),
         (changed("cameras.cam0.images"), r"cameras\.cam0: has neither 'images' nor"),
+        (changed("cameras.cam0.video", "a.mp4"), r"cameras\.cam0: has 'images' and 'video'; its images come from one"),
+        (changed("cameras.cam0.topic", "/cam0"), r"cameras\.cam0\.topic: belongs to 'bag', which isn't given"),
+        (changed("cameras.cam0.stream", "1"), r"cameras\.cam0\.stream: belongs to 'vrs' or 'video', which isn't given"),
+        (changed("cameras.cam1.stamp_offset_ns", 5), r"cameras\.cam1\.stamp_offset_ns: belongs to 'images' or"),
+        (
+            changed("cameras.cam0.stamp_offset_ns", 0.5),
+            r"cameras\.cam0\.stamp_offset_ns: is 0\.5; expected a valid int",
+        ),
+        (
+            changed("cameras.cam1", {**valid()["cameras"]["cam1"], "images": "cam1", "stamp_offset_ns": 5}),
+            r"cameras\.cam1\.stamp_offset_ns: shifts the stamps of images, not those of 'detections'",
+        ),
+        (
+            changed("cameras.cam1", {"model": "fisheye62", "image_size_px": [640, 480], "video": "a.mp4"}),
+            r"cameras\.cam1\.stamp_offset_ns: is missing; a video's stamps count from its first frame",
+        ),
         (changed("board_body"), "board_body: is missing; capture tracked_platform needs platform and board_body"),
         (
             changed("capture", "standing_board"),
@@ -178,13 +194,21 @@ def test_the_manifest_is_found_in_its_folder(tmp_path: Path) -> None:
 
 def test_the_schema_names_fields_choices_and_what_each_capture_needs() -> None:
     schema = json.loads(json.dumps(manifest_schema()))
-    assert schema["required"] == ["gtcal_recording", "capture", "board", "cameras"]
+    assert schema["required"] == ["gtcal_recording", "capture", "board"]
+    assert schema["anyOf"] == [{"required": ["cameras"]}, {"required": ["layout"]}]
     assert schema["additionalProperties"] is False
     assert "fisheye62" in schema["$defs"]["CameraEntry"]["properties"]["model"]["enum"]
     assert schema["$defs"]["TrajectoryEntry"]["properties"]["format"]["enum"] == ["euroc_csv", "tum"]
     assert {"oneOf", "description"} <= set(schema["properties"]["board"])
     needs = {rule["if"]["properties"]["capture"]["const"]: rule["then"] for rule in schema["allOf"]}
-    assert needs["standing_board"] == {"required": ["platform"], "properties": {"board_body": False}}
-    assert needs["tracked_platform"] == {"required": ["platform", "board_body"], "properties": {}}
+    layout = {"required": ["layout"]}
+    assert needs["standing_board"] == {
+        "anyOf": [{"required": ["platform"]}, layout],
+        "properties": {"board_body": False},
+    }
+    assert needs["tracked_platform"] == {
+        "anyOf": [{"required": ["platform", "board_body"]}, layout],
+        "properties": {},
+    }
     for entry in ("CameraEntry", "TrajectoryEntry"):
         assert all("description" in field for field in schema["$defs"][entry]["properties"].values())

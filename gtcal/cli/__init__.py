@@ -13,6 +13,8 @@ from importlib.metadata import version
 COMMANDS = {
     "demo": "render small recordings, calibrate, verify, and compare with the truth",
     "board": "draw a calibration board to scale",
+    "init": "look at a folder and draft the manifest of a recording",
+    "info": "show what is in a recording or a result: rates, gaps, overlap, coverage, as a picture too",
     "calibrate": "find every camera's extrinsic and the board-to-body transform from a recording",
     "uncertainty": "say how sure a calibration is: in mm, deg and px, by kind, and where it is weak",
     "compare": "calibrate a recording by other methods too, and compare",
@@ -32,8 +34,9 @@ OVERVIEW = """usage: gtcal COMMAND ...
 Camera-to-mocap calibration: where each camera sits relative to the mocap system, and how sure that is.
 
 The usual way: 'gtcal board' draws a board to print; you record it with the cameras and the mocap running;
-'gtcal calibrate RECORDING' writes calibration.json; 'gtcal verify calibration.json LOLLYPOP_RECORDING' tells
-whether it is true. 'gtcal demo' shows all of it.
+'gtcal init FOLDER' drafts the manifest and 'gtcal info FOLDER' shows what you have; 'gtcal calibrate FOLDER' writes
+calibration.json; 'gtcal verify calibration.json LOLLYPOP_RECORDING' tells whether it is true. 'gtcal demo' shows all
+of it.
 
 commands:
 {commands}

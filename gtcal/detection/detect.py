@@ -24,7 +24,7 @@ from gtcal.errors import GtcalError
 from gtcal.files import write_aside
 from gtcal.progress import Progress, silent
 from gtcal.recordings.detections import CameraDetections
-from gtcal.recordings.images import ImageSequence
+from gtcal.recordings.images import Images
 from gtcal.verification.lollypop import Lollypop
 from gtcal.verification.lollypop_detection import see_lollypop
 
@@ -36,7 +36,7 @@ _log = logging.getLogger("gtcal")
 
 
 def detect(
-    images: ImageSequence,
+    images: Images,
     board: Board | Lollypop,
     camera: Camera | None = None,
     *,
@@ -74,7 +74,7 @@ def detect(
 def cached_detect(
     recording_dir: Path,
     camera_name: str,
-    images: ImageSequence,
+    images: Images,
     board: Board | Lollypop,
     camera: Camera | None = None,
     *,
@@ -89,9 +89,7 @@ def cached_detect(
     the corners are returned all the same, and a warning of the logger "gtcal" says so.
 
     Raises GtcalError where an image can't be read or isn't of the camera's size."""
-    key = _cache_key(images, board, camera)
-    safe_name = re.sub(r"[^\w.-]", "_", camera_name)
-    path = recording_dir / CACHE_FOLDER / f"detections_{safe_name}_{key[:16]}.npz"
+    path = _cache_path(recording_dir, camera_name, images, board, camera)
     cached = None if redo else _read_cache(path)
     if cached is not None:
         progress(f"detecting the board in {camera_name} (kept from before)", len(images), len(images))
@@ -104,7 +102,24 @@ def cached_detect(
     return found
 
 
-def _see(images: ImageSequence, index: int, board: Board | Lollypop, camera: Camera | None) -> SeenBoard:
+def kept_detections(
+    recording_dir: Path, camera_name: str, images: Images, board: Board | Lollypop, camera: Camera | None = None
+) -> CameraDetections | None:
+    """What ``cached_detect`` kept, None where that is nothing or of other images.
+
+    Raises GtcalError where an image file is gone."""
+    return _read_cache(_cache_path(recording_dir, camera_name, images, board, camera))
+
+
+def _cache_path(
+    recording_dir: Path, camera_name: str, images: Images, board: Board | Lollypop, camera: Camera | None
+) -> Path:
+    key = _cache_key(images, board, camera)
+    safe_name = re.sub(r"[^\w.-]", "_", camera_name)
+    return recording_dir / CACHE_FOLDER / f"detections_{safe_name}_{key[:16]}.npz"
+
+
+def _see(images: Images, index: int, board: Board | Lollypop, camera: Camera | None) -> SeenBoard:
     if isinstance(board, Lollypop):
         return see_lollypop(images.read(index), board, camera)
     return see_board(images.read(index), board, camera)
@@ -127,9 +142,9 @@ def _why_none(name: str, board: Board | Lollypop, camera: Camera | None, n_tags:
     )
 
 
-def _cache_key(images: ImageSequence, board: Board | Lollypop, camera: Camera | None) -> str:
+def _cache_key(images: Images, board: Board | Lollypop, camera: Camera | None) -> str:
     """A fingerprint of all that the corners depend on."""
-    files = [(str(path.name), *_size_and_time(path)) for path in images.paths]
+    files = [(str(path.name), *_size_and_time(path)) for path in images.files]
     lens: Any = None
     if camera is not None:
         lens = [camera.model.name, camera.image_width_px, camera.image_height_px]
@@ -141,6 +156,7 @@ def _cache_key(images: ImageSequence, board: Board | Lollypop, camera: Camera | 
         "lens": lens,
         "stamps_ns": images.stamps_ns.tolist(),
         "files": files,
+        "source": images.source,
     }
     return hashlib.sha256(json.dumps(everything, sort_keys=True).encode()).hexdigest()
 

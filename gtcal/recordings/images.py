@@ -1,17 +1,20 @@
-"""The images of one camera: files in order of time, read one at a time."""
+"""The images of one camera, in order of time and read one at a time: what every source of them has, and files."""
 
 from __future__ import annotations
 
+import os
 import re
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
+from typing import Any, Protocol
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
 from gtcal.errors import GtcalError
+from gtcal.files import write_text
 from gtcal.recordings.detections import IntArray
 
 GreyImage = npt.NDArray[np.uint8]
@@ -19,6 +22,47 @@ GreyImage = npt.NDArray[np.uint8]
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm", ".webp")
 # No camera takes images a microsecond apart: such stems count frames.
 _SHORTEST_INTERVAL_NS = 1_000
+
+
+class Images(Protocol):
+    """The V images of one camera in order of time, wherever they are kept. ``read`` may be called from any thread."""
+
+    @property
+    def stamps_ns(self) -> IntArray:
+        """(V,) strictly increasing time stamps, camera clock."""
+
+    @property
+    def size_px(self) -> tuple[int, int] | None:
+        """(width, height) that every image must have; None where any size will do."""
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What was taken otherwise than it was named, one sentence each, for the user to see."""
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """The files that hold the images: where none changes, no image does."""
+
+    @property
+    def inputs(self) -> tuple[Path, ...]:
+        """Files or folders that a result names as what it was computed from."""
+
+    @property
+    def source(self) -> str:
+        """What says, beside the files, which images these are: a topic, a stream."""
+
+    def __len__(self) -> int: ...
+
+    def expecting(self, width_px: int, height_px: int) -> Images:
+        """The same images, of which ``read`` takes only those of this size."""
+
+    def read(self, index: int) -> GreyImage:
+        """One image as 8-bit grey, shape (height, width). Raises GtcalError where it can't be read whole, or is not
+        of the size expected."""
+
+    def entry(self, camera: str, folder: Path) -> dict[str, Any]:
+        """The fields of a manifest in ``folder`` that point to the images; a list of them is written where their
+        names need one. Raises GtcalError where the folder can't be written."""
 
 
 @dataclass(frozen=True)
@@ -48,14 +92,57 @@ class ImageSequence:
 
         Raises GtcalError where the file is missing, cut off, no image, or not of the size expected."""
         path = self.paths[index]
-        image = read_grey(path)
-        height, width = image.shape
-        if self.size_px is not None and (width, height) != self.size_px:
-            raise GtcalError(
-                f"{path}: the image is {width} x {height} pixels, but the camera's image size is "
-                f"{self.size_px[0]} x {self.size_px[1]}; intrinsics hold for one image size only"
-            )
-        return image
+        return of_size(read_grey(path), self.size_px, str(path))
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        return self.paths
+
+    @property
+    def inputs(self) -> tuple[Path, ...]:
+        """The folders."""
+        return tuple(sorted({path.parent for path in self.paths}))
+
+    @property
+    def source(self) -> str:
+        return ""
+
+    def entry(self, camera: str, folder: Path) -> dict[str, Any]:
+        """A folder of images named by their time stamps needs no list.
+
+        Raises GtcalError where the images are in several folders, or the list can't be written."""
+        if len(self.inputs) != 1:
+            raise GtcalError(f"camera {camera!r}: the images are in {len(self.inputs)} folders; put them in one")
+        (image_dir,) = self.inputs
+        where = relative(image_dir, folder)
+        stamped = [path.stem == str(stamp) for stamp, path in zip(self.stamps_ns, self.paths, strict=True)]
+        if all(stamped) and len(image_folder(image_dir)) == len(self):
+            return {"images": where}
+        listing = f"{camera}_images.csv"
+        rows = (f"{stamp},{path.name}\n" for stamp, path in zip(self.stamps_ns, self.paths, strict=True))
+        write_text(folder / listing, "".join(["#timestamp [ns],filename\n", *rows]))
+        return {"images": where, "image_list": listing}
+
+
+def of_size(image: GreyImage, size_px: tuple[int, int] | None, name: str) -> GreyImage:
+    """The image. Raises GtcalError with its ``name`` where it is not of the size (width, height) expected."""
+    height, width = image.shape
+    if size_px is not None and (width, height) != size_px:
+        raise GtcalError(
+            f"{name}: the image is {width} x {height} pixels, but the camera's image size is "
+            f"{size_px[0]} x {size_px[1]}; intrinsics hold for one image size only"
+        )
+    return image
+
+
+def relative(path: Path, folder: Path) -> str:
+    """The path as a manifest in ``folder`` names it."""
+    return Path(os.path.relpath(path, folder)).as_posix()
+
+
+def shifted(images: ImageSequence, offset_ns: int) -> ImageSequence:
+    """The images with ``offset_ns`` added to their stamps."""
+    return replace(images, stamps_ns=images.stamps_ns + offset_ns) if offset_ns else images
 
 
 def image_folder(folder: Path) -> ImageSequence:
@@ -104,11 +191,18 @@ def read_grey(path: Path) -> GreyImage:
         data = path.read_bytes()
     except OSError as error:
         raise GtcalError(f"{path}: the image can't be read: {error.strerror}") from error
+    return decode_grey(data, str(path))
+
+
+def decode_grey(data: bytes, name: str) -> GreyImage:
+    """The contents of an image file as 8-bit grey, shape (height, width).
+
+    Raises GtcalError with its ``name`` where they are cut off or no image that OpenCV reads."""
     if _is_cut_off(data):
-        raise GtcalError(f"{path}: the image file is cut off ({len(data)} bytes); copy it again or leave it out")
+        raise GtcalError(f"{name}: the image file is cut off ({len(data)} bytes); copy it again or leave it out")
     image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_GRAYSCALE) if data else None
     if image is None:
-        raise GtcalError(f"{path}: not an image that can be read ({len(data)} bytes)")
+        raise GtcalError(f"{name}: not an image that can be read ({len(data)} bytes)")
     return np.asarray(image, dtype=np.uint8)
 
 

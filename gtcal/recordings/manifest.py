@@ -21,6 +21,8 @@ from gtcal.files import write_text
 from gtcal.readers import TRAJECTORY_READERS
 from gtcal.readers.poses import LengthUnit, PoseConventions, PoseDirection, TimeUnit
 from gtcal.recordings.capture import Capture, check_bodies
+from gtcal.recordings.layouts import LAYOUTS, expanded, find_layout
+from gtcal.recordings.open_questions import check_answered
 from gtcal.recordings.trajectory import QuaternionOrder
 
 MANIFEST_NAMES = ("recording.yaml", "recording.yml", "recording.json")
@@ -41,6 +43,11 @@ def _choice(what: str, choices: Iterable[str]) -> tuple[AfterValidator, WithJson
 
 CameraModelName = Annotated[str, *_choice("a camera model", CAMERA_MODELS)]
 TrajectoryFormat = Annotated[str, *_choice("a trajectory format", TRAJECTORY_READERS)]
+LayoutName = Annotated[str, *_choice("a layout", LAYOUTS)]
+LAYOUT_DESCRIPTION = (
+    "euroc: the folder is laid out as EuRoC's, ASL's or TUM-VI's; cameras and tracked bodies, as far as they are not "
+    "given here, are taken from there."
+)
 CaptureName = Annotated[str, *_choice("a capture kind", [kind.value for kind in Capture])]
 
 
@@ -90,6 +97,30 @@ class CameraEntry(Entry):
     rolling_shutter: ShutterEntry | None = Field(
         default=None, description="Given where the camera exposes its rows one after the other."
     )
+    video: str | None = Field(default=None, description="Video file; its frames' own time stamps are taken.")
+    bag: str | None = Field(default=None, description="ROS 1 bag, or ROS 2 bag (folder, .mcap or .db3); see 'topic'.")
+    topic: str | None = Field(default=None, description="The topic of 'bag' with the images; header.stamp is taken.")
+    vrs: str | None = Field(default=None, description="VRS file; see 'stream'.")
+    stream: str | None = Field(
+        default=None, description="The stream with the images: of 'vrs', as 1201-1; of 'video', where it has several."
+    )
+    stamp_offset_ns: int | None = Field(
+        default=None,
+        description="Added to the time stamps of the images. Needed for a video, whose stamps count from its first "
+        "frame: that frame's time.",
+    )
+
+    @property
+    def has_images(self) -> bool:
+        """Whether it names images, of whatever source."""
+        return bool(self.image_sources)
+
+    @property
+    def image_sources(self) -> tuple[str, ...]:
+        """The kinds of image sources that it names, by the names of their fields."""
+        folder = () if self.images is None and self.image_list is None else ("images",)
+        others = tuple(name for name in ("video", "bag", "vrs") if getattr(self, name) is not None)
+        return (*folder, *others)
 
 
 class TrajectoryEntry(Entry):
@@ -126,6 +157,7 @@ class Manifest(Entry):
     board: Annotated[dict[str, Any], WithJsonSchema(board_manifest_schema())] = Field(
         description="The board: a preset, or a type and its fields."
     )
+    layout: LayoutName | None = Field(default=None, description=LAYOUT_DESCRIPTION)
     cameras: dict[str, CameraEntry] = Field(min_length=1, description="The cameras by name.")
     platform: TrajectoryEntry | None = Field(default=None, description="The tracked body that carries the cameras.")
     board_body: TrajectoryEntry | None = Field(default=None, description="The tracked body that carries the board.")
@@ -150,9 +182,15 @@ def manifest_schema() -> dict[str, Any]:
     """The JSON schema of a manifest, which bodies each capture needs included."""
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
-        **Manifest.model_json_schema(),
+        **unless_layout(Manifest.model_json_schema(), "cameras"),
         "allOf": [_bodies_schema(capture) for capture in Capture],
     }
+
+
+def unless_layout(schema: dict[str, Any], *names: str) -> dict[str, Any]:
+    """The schema of a manifest in which a layout may stand for these fields."""
+    required = [name for name in schema["required"] if name not in names]
+    return {**schema, "required": required, "anyOf": [{"required": list(names)}, {"required": ["layout"]}]}
 
 
 def find_manifest(path: Path) -> Path:
@@ -165,7 +203,11 @@ def find_manifest(path: Path) -> Path:
         raise GtcalError(f"{path}: there is no such recording; expected a folder with {MANIFEST_NAMES[0]} in it")
     found = [path / name for name in MANIFEST_NAMES if (path / name).is_file()]
     if not found:
-        raise GtcalError(f"{path}: there is no manifest in this folder; expected {' or '.join(MANIFEST_NAMES)}")
+        laid_out = "; it is laid out as EuRoC's, but which board was shown stands nowhere" if find_layout(path) else ""
+        raise GtcalError(
+            f"{path}: there is no manifest in this folder; expected {' or '.join(MANIFEST_NAMES)}{laid_out}; "
+            f"'gtcal init {path}' drafts one"
+        )
     if len(found) > 1:
         raise GtcalError(f"{path}: there are {' and '.join(f.name for f in found)}; keep one")
     return found[0]
@@ -191,13 +233,14 @@ def read_manifest(path: Path) -> Manifest:
 
 
 def load_fields(path: Path) -> dict[str, Any]:
-    """The fields of a manifest file, unchecked.
+    """The fields of a manifest file, unchecked, with those that its layout stands for.
 
     Raises GtcalError where it can't be read, is no YAML or JSON, or holds no fields."""
     data = _load(path)
     if not isinstance(data, dict):
         raise GtcalError(f"{path}: is no manifest; expected fields such as 'gtcal_recording: 1'")
-    return data
+    check_answered(path, data)
+    return expanded(path, data)
 
 
 def validated(path: Path, data: dict[str, Any], kind: type[M]) -> M:
@@ -221,17 +264,51 @@ def did_you_mean(name: str, choices: Iterable[str]) -> str:
 
 
 def check_sources(cameras: dict[str, CameraEntry]) -> None:
-    """Raises GtcalError where a camera has neither images nor detections."""
+    """Raises GtcalError where a camera has neither images nor detections, images of more than one source, or a field
+    that belongs to another source."""
     for name, camera in cameras.items():
-        if camera.images is None and camera.image_list is None and camera.detections is None:
-            raise GtcalError(f"cameras.{name}: has neither 'images' nor 'image_list' nor 'detections'; give one")
+        where = f"cameras.{name}"
+        sources = camera.image_sources
+        if not sources and camera.detections is None:
+            raise GtcalError(
+                f"{where}: has neither 'images' nor 'image_list' nor 'video' nor 'bag' nor 'vrs' nor 'detections'; "
+                "give one"
+            )
+        if len(sources) > 1:
+            raise GtcalError(f"{where}: has {' and '.join(map(repr, sources))}; its images come from one of them")
+        _check_source_fields(where, camera, sources)
+
+
+def _check_source_fields(where: str, camera: CameraEntry, sources: tuple[str, ...]) -> None:
+    for field, owners in _FIELDS_OF_SOURCES.items():
+        if getattr(camera, field) is not None and not set(owners) & set(sources):
+            raise GtcalError(f"{where}.{field}: belongs to {' or '.join(map(repr, owners))}, which isn't given")
+    if camera.stamp_offset_ns is not None and camera.detections is not None:
+        raise GtcalError(
+            f"{where}.stamp_offset_ns: shifts the stamps of images, not those of 'detections'; leave out one of the two"
+        )
+    if camera.video is not None and camera.stamp_offset_ns is None:
+        raise GtcalError(
+            f"{where}.stamp_offset_ns: is missing; a video's stamps count from its first frame: give that frame's time "
+            "on the mocap's clock in ns (0 where the mocap counts from there too)"
+        )
+
+
+_FIELDS_OF_SOURCES = {
+    "topic": ("bag",),
+    "stream": ("vrs", "video"),
+    "stamp_offset_ns": ("images", "video", "bag", "vrs"),
+}
 
 
 def _bodies_schema(capture: Capture) -> dict[str, Any]:
     forbidden = [name for name in ("platform", "board_body") if name not in capture.bodies]
     return {
         "if": {"properties": {"capture": {"const": capture.value}}},
-        "then": {"required": list(capture.bodies), "properties": dict.fromkeys(forbidden, False)},
+        "then": {
+            "anyOf": [{"required": list(capture.bodies)}, {"required": ["layout"]}],
+            "properties": dict.fromkeys(forbidden, False),
+        },
     }
 
 

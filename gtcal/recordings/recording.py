@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -13,12 +12,13 @@ from factors import CAMERA_MODELS
 from gtcal.board import Board, board_from_manifest
 from gtcal.camera import Camera, RollingShutter
 from gtcal.errors import GtcalError
-from gtcal.files import InputFile, fingerprint, write_text
+from gtcal.files import InputFile, fingerprint
 from gtcal.readers import TRAJECTORY_READERS, write_euroc_csv
+from gtcal.recordings.bag_images import bag_images
 from gtcal.recordings.capture import Capture, RefMotion
 from gtcal.recordings.detection_files import read_detections, write_detections
 from gtcal.recordings.detections import CameraDetections, Cornered
-from gtcal.recordings.images import ImageSequence, image_folder, image_list
+from gtcal.recordings.images import Images, image_folder, image_list, shifted
 from gtcal.recordings.manifest import (
     MANIFEST_NAMES,
     CameraEntry,
@@ -31,6 +31,8 @@ from gtcal.recordings.manifest import (
     write_manifest,
 )
 from gtcal.recordings.trajectory import Trajectory
+from gtcal.recordings.video_images import video_images
+from gtcal.recordings.vrs_images import vrs_images
 
 # A principal point this far from the middle in both axes alike is that of an image of another size, not of a lens
 # that sits off its sensor's middle.
@@ -61,7 +63,7 @@ class Recording:
     cameras: dict[str, Camera]
     board: Board
     detections: dict[str, CameraDetections]
-    images: dict[str, ImageSequence] = field(default_factory=dict)
+    images: dict[str, Images] = field(default_factory=dict)
     platform: Trajectory | None = None
     board_body: Trajectory | None = None
     max_gap_s: float | None = None
@@ -101,9 +103,7 @@ def load_recording(path: Path | str) -> Recording:
         if entry.detections is not None
     }
     images = {
-        name: loader.images(name, entry, cameras[name])
-        for name, entry in manifest.cameras.items()
-        if entry.images is not None or entry.image_list is not None
+        name: loader.images(name, entry, cameras[name]) for name, entry in manifest.cameras.items() if entry.has_images
     }
     trajectories = {name: loader.trajectory(name, entry) for name, entry in manifest.bodies.items()}
     loader.check_millimetres(manifest.bodies, trajectories)
@@ -132,6 +132,9 @@ def write_recording(recording: Recording, folder: Path | str) -> Path:
         write_detections(folder / detections_name(name), detections)
     for name, trajectory in recording.motion.trajectories.items():
         write_euroc_csv(folder / f"{name}.csv", trajectory)
+    bodies = {
+        name: TrajectoryEntry(trajectory=f"{name}.csv", format="euroc_csv") for name in recording.motion.trajectories
+    }
     manifest = Manifest(
         gtcal_recording=1,
         capture=recording.capture.value,
@@ -140,10 +143,8 @@ def write_recording(recording: Recording, folder: Path | str) -> Path:
             name: camera_entry(camera, recording.images.get(name), folder, with_detections=name in recording.detections)
             for name, camera in recording.cameras.items()
         },
-        **{
-            name: TrajectoryEntry(trajectory=f"{name}.csv", format="euroc_csv")
-            for name in recording.motion.trajectories
-        },
+        platform=bodies.get("platform"),
+        board_body=bodies.get("board_body"),
         max_gap_ms=None if recording.max_gap_s is None else recording.max_gap_s * 1000,
     )
     write_manifest(folder / MANIFEST_NAMES[0], manifest)
@@ -180,19 +181,26 @@ class Loader:
         self.used.append(path)
         return read_detections(path, board, camera)
 
-    def images(self, name: str, entry: CameraEntry, camera: Camera) -> ImageSequence:
-        where = f"cameras.{name}"
+    def images(self, name: str, entry: CameraEntry, camera: Camera) -> Images:
+        images = self._images(f"cameras.{name}", entry).expecting(camera.image_width_px, camera.image_height_px)
+        images.read(0)
+        return images
+
+    def _images(self, where: str, entry: CameraEntry) -> Images:
+        offset_ns = entry.stamp_offset_ns or 0
+        if entry.video is not None:
+            return video_images(self._existing(f"{where}.video", entry.video), offset_ns, entry.stream)
+        if entry.bag is not None:
+            return bag_images(self._existing(f"{where}.bag", entry.bag), entry.topic, offset_ns)
+        if entry.vrs is not None:
+            return vrs_images(self._existing(f"{where}.vrs", entry.vrs), entry.stream, offset_ns)
         folder = self._existing(f"{where}.images", entry.images) if entry.images is not None else None
         if entry.image_list is not None:
             listing = self._existing(f"{where}.image_list", entry.image_list)
             self.used.append(listing)
-            images = image_list(listing, folder)
-        else:
-            assert folder is not None  # the manifest's own check
-            images = image_folder(folder)
-        images = images.expecting(camera.image_width_px, camera.image_height_px)
-        images.read(0)
-        return images
+            return shifted(image_list(listing, folder), offset_ns)
+        assert folder is not None  # the manifest's own check
+        return shifted(image_folder(folder), offset_ns)
 
     def trajectory(self, name: str, entry: TrajectoryEntry) -> Trajectory:
         path = self._existing(f"{name}.trajectory", entry.trajectory)
@@ -267,19 +275,17 @@ def _other_image_size(cx: float, cy: float, width: int, height: int) -> str:
     return ""
 
 
-def camera_entry(camera: Camera, images: ImageSequence | None, folder: Path, *, with_detections: bool) -> CameraEntry:
+def camera_entry(camera: Camera, images: Images | None, folder: Path, *, with_detections: bool) -> CameraEntry:
     """The manifest's entry of a camera, for a manifest in ``folder``; a list of its images is written where their
     names need one."""
     theta = None if camera.parameters is None else camera.parameters.tolist()
-    image_dir, listing = (None, None) if images is None else _write_image_list(images, camera.name, folder)
     return CameraEntry(
         model=camera.model.name,
         image_size_px=[camera.image_width_px, camera.image_height_px],
         parameters=None if theta is None else dict(zip(camera.model.parameter_names, theta, strict=True)),
-        images=image_dir,
-        image_list=listing,
         detections=detections_name(camera.name) if with_detections else None,
         rolling_shutter=_shutter_entry(camera.rolling_shutter),
+        **({} if images is None else images.entry(camera.name, folder)),
     )
 
 
@@ -299,19 +305,3 @@ def _shutter_entry(shutter: RollingShutter | None) -> ShutterEntry | None:
 def detections_name(camera: str) -> str:
     """The file of a camera's detections beside the manifest."""
     return f"{camera}_detections.csv"
-
-
-def _write_image_list(images: ImageSequence, name: str, folder: Path) -> tuple[str, str | None]:
-    """The manifest's 'images' and 'image_list': a folder of images named by time stamp needs no list."""
-    folders = {path.parent for path in images.paths}
-    if len(folders) != 1:
-        raise GtcalError(f"camera {name!r}: the images are in {len(folders)} folders; put them in one")
-    (image_dir,) = folders
-    where = Path(os.path.relpath(image_dir, folder)).as_posix()
-    stamped = [path.stem == str(stamp) for stamp, path in zip(images.stamps_ns, images.paths, strict=True)]
-    if all(stamped) and len(image_folder(image_dir)) == len(images):
-        return where, None
-    listing = f"{name}_images.csv"
-    rows = (f"{stamp},{path.name}\n" for stamp, path in zip(images.stamps_ns, images.paths, strict=True))
-    write_text(folder / listing, "".join(["#timestamp [ns],filename\n", *rows]))
-    return where, listing

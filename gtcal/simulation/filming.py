@@ -14,7 +14,7 @@ from gtcal.cores import all_cores
 from gtcal.errors import GtcalError
 from gtcal.files import write_aside
 from gtcal.progress import Progress
-from gtcal.recordings.images import GreyImage, ImageSequence
+from gtcal.recordings.images import GreyImage, Images, ImageSequence
 from gtcal.simulation.backdrop import GreyPicture, room
 from gtcal.simulation.rendering import Lens, Plate, lens_of, plate_of, render, sub_exposures
 from gtcal.simulation.simulate import Simulation
@@ -51,7 +51,7 @@ class Studio:
         return render(lens, self.plate, self.room, camera_T_board, camera_T_world, options, noise)
 
 
-def film(simulation: Simulation, folder: Path, progress: Progress) -> dict[str, ImageSequence]:
+def film(simulation: Simulation, folder: Path, progress: Progress) -> dict[str, Images]:
     """Render every frame of every camera into ``folder/<camera>/<stamp_ns>.png``.
 
     Raises GtcalError where the folder can't be written, or a camera has a rolling shutter."""
@@ -63,7 +63,7 @@ def film(simulation: Simulation, folder: Path, progress: Progress) -> dict[str, 
             )
     studio = Studio(simulation)
     done, total = 0, len(simulation.options.rig.cameras) * len(simulation.frame_times_s)
-    sequences = {}
+    sequences: dict[str, Images] = {}
     with all_cores() as pool:
         for index, camera in enumerate(simulation.options.rig.cameras):
             stamps_ns = simulation.truth.cameras[camera.name].stamps_ns

@@ -135,8 +135,10 @@ def cell_counts(camera: Camera, points_px: FloatArray, across: int, down: int | 
 
 
 def visible_cells(camera: Camera, across: int, down: int | None = None) -> BoolArray:
-    """(H, W) the cells whose middle the lens can see."""
+    """(H, W) the cells whose middle the lens can see; all of them where the lens is not known."""
     x_px, y_px = image_grid(camera, across, down)
+    if camera.parameters is None:
+        return np.ones((len(y_px), len(x_px)), dtype=bool)
     _, visible = camera.unproject(np.stack([axis.ravel() for axis in np.meshgrid(x_px, y_px)], axis=1))
     return visible.reshape(len(y_px), len(x_px))
 

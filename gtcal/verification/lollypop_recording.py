@@ -20,16 +20,19 @@ from gtcal.readers import write_euroc_csv
 from gtcal.recordings.capture import Capture, RefMotion
 from gtcal.recordings.detection_files import write_detections
 from gtcal.recordings.detections import CameraDetections
-from gtcal.recordings.images import ImageSequence
+from gtcal.recordings.images import Images
 from gtcal.recordings.manifest import (
+    LAYOUT_DESCRIPTION,
     MANIFEST_NAMES,
     CameraEntry,
     CaptureName,
     Entry,
+    LayoutName,
     TrajectoryEntry,
     check_sources,
     find_manifest,
     load_fields,
+    unless_layout,
     validated,
     write_manifest,
 )
@@ -51,6 +54,7 @@ class LollypopManifest(Entry):
     device: Annotated[dict[str, Any] | str, WithJsonSchema(device_manifest_schema())] = Field(
         description="The Lollypop: a preset, or its tag and markers, or the name of a file that says this."
     )
+    layout: LayoutName | None = Field(default=None, description=LAYOUT_DESCRIPTION)
     cameras: dict[str, CameraEntry] = Field(min_length=1, description="The cameras by name.")
     platform: TrajectoryEntry | None = Field(default=None, description="The tracked body that carries the cameras.")
     device_body: TrajectoryEntry = Field(description="The tracked body of the Lollypop.")
@@ -66,7 +70,8 @@ class LollypopManifest(Entry):
 
 def lollypop_manifest_schema() -> dict[str, Any]:
     """The JSON schema of a Lollypop recording's manifest."""
-    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **LollypopManifest.model_json_schema()}
+    schema = unless_layout(LollypopManifest.model_json_schema(), "cameras", "device_body")
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema}
 
 
 @dataclass(frozen=True)
@@ -89,7 +94,7 @@ class LollypopRecording:
     device: Lollypop
     detections: dict[str, CameraDetections]
     device_body: Trajectory
-    images: dict[str, ImageSequence] = field(default_factory=dict)
+    images: dict[str, Images] = field(default_factory=dict)
     platform: Trajectory | None = None
     max_gap_s: float | None = None
     inputs: tuple[InputFile, ...] = ()
@@ -136,7 +141,7 @@ def load_lollypop_recording(path: Path | str) -> LollypopRecording:
         images={
             name: loader.images(name, entry, cameras[name])
             for name, entry in manifest.cameras.items()
-            if entry.images is not None or entry.image_list is not None
+            if entry.has_images
         },
         platform=trajectories.get("platform"),
         device_body=trajectories["device_body"],
@@ -192,8 +197,8 @@ def detected_lollypop(
         )
         for name in missing
     }
-    folders = sorted({path.parent for name in missing for path in recording.images[name].paths})
-    used = tuple(fingerprint(folder) for folder in folders)
+    paths = sorted({path for name in missing for path in recording.images[name].inputs})
+    used = tuple(fingerprint(path) for path in paths)
     return replace(recording, detections=recording.detections | found, inputs=recording.inputs + used)
 
 

@@ -1,0 +1,104 @@
+"""gtcal info: what is in a recording or a result, at a glance."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+
+if TYPE_CHECKING:
+    from gtcal.progress import Progress
+    from gtcal.recordings.recording import Recording
+    from gtcal.verification.lollypop_recording import LollypopRecording
+
+
+def info(
+    path: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="PATH")],
+    *,
+    figure: Path | None = None,
+    detect: bool = False,
+    quiet: Annotated[bool, tyro.conf.arg(aliases=["-q"])] = False,
+) -> None:
+    """Show what is in a recording, a calibration.json or a verification.json, at a glance.
+
+    Of a recording: cameras and tracked bodies with their rates, gaps and lost samples, how many images have a pose of
+    every body, how much of each image had corners, and how far the bodies moved and turned; of a result what its
+    command printed. Corners are those that the recording gives or that were kept from a detection before.
+
+    Args:
+        path: Folder of a recording, its manifest, or a result file.
+        figure: Picture to write, .png or .svg. Of a recording: when cameras and mocap recorded, where the images had
+            corners, how the bodies moved. Of a calibration: where the cameras are. Of a verification: the heat maps.
+        detect: Look for the board in images where that was not done yet, as 'gtcal detect' does, and keep the corners.
+        quiet: Print nothing.
+    """
+    from gtcal.cli.progress import shown_progress
+    from gtcal.overview.kind import Kind, kind_of
+
+    kind = kind_of(path)
+    if kind is Kind.CALIBRATION:
+        _calibration(path, figure, quiet)
+    elif kind is Kind.VERIFICATION:
+        _verification(path, figure, quiet)
+    else:
+        with shown_progress(quiet) as progress:
+            recording = _loaded(path, kind is Kind.LOLLYPOP_RECORDING, detect, progress)
+        _recording(recording, figure, quiet)
+    if figure is not None and not quiet:
+        print(f"written: {figure}")
+
+
+def _loaded(path: Path, lollypop: bool, detect: bool, progress: Progress) -> Recording | LollypopRecording:
+    from gtcal.recordings.recording import load_recording
+    from gtcal.verification.lollypop_recording import detected_lollypop, load_lollypop_recording
+    from gtcal.workflow import detected
+
+    if lollypop:
+        loaded = load_lollypop_recording(path)
+        return detected_lollypop(loaded, progress=progress) if detect else loaded
+    recording = load_recording(path)
+    return detected(recording, progress=progress) if detect else recording
+
+
+def _recording(recording: Recording | LollypopRecording, figure: Path | None, quiet: bool) -> None:
+    from gtcal.cli.info_tables import print_summary
+    from gtcal.overview.summary import summarise
+
+    summary = summarise(recording)
+    if figure is not None:
+        from gtcal.overview.summary_figure import draw_recording
+
+        draw_recording(figure, summary)
+    if not quiet:
+        print_summary(summary)
+
+
+def _calibration(path: Path, figure: Path | None, quiet: bool) -> None:
+    from gtcal.cli.info_tables import print_provenance
+    from gtcal.cli.tables import print_calibration
+    from gtcal.results.calibration_file import read_calibration
+
+    calibration = read_calibration(path)
+    if figure is not None:
+        from gtcal.overview.result_figures import draw_calibration
+
+        draw_calibration(figure, calibration)
+    if not quiet:
+        print_calibration(calibration, verbose=True)
+        print_provenance(calibration.provenance)
+
+
+def _verification(path: Path, figure: Path | None, quiet: bool) -> None:
+    from gtcal.cli.info_tables import print_provenance
+    from gtcal.cli.verification_tables import print_verification
+    from gtcal.verification.verification_file import read_verification
+
+    verification = read_verification(path)
+    if figure is not None:
+        from gtcal.overview.result_figures import draw_verification
+
+        draw_verification(figure, verification)
+    if not quiet:
+        print_verification(verification, verbose=True)
+        print_provenance(verification.provenance)

@@ -1,0 +1,57 @@
+"""gtcal init: the draft of a manifest."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+
+def init(
+    folder: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="FOLDER")],
+    *,
+    output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None,
+    force: bool = False,
+    quiet: Annotated[bool, tyro.conf.arg(aliases=["-q"])] = False,
+) -> None:
+    """Look at a folder and draft the manifest of a recording: what was found and why it was taken, and a question where
+    the files don't tell.
+
+    Images (folders, videos, bags, VRS), files of a mocap, lenses (ASL's sensor.yaml, Kalibr's camchain), boards
+    (Kalibr's target file) and corners are found in the folder and those in it; the board's tags are looked for in some
+    images. Until each QUESTION in the draft is answered, it doesn't load, and says which one is open.
+
+    Args:
+        folder: The folder to look at.
+        output: The manifest to write; by default recording.yaml in the folder.
+        force: Replace a manifest that is there.
+        quiet: Print nothing.
+    """
+    from gtcal.errors import GtcalError
+    from gtcal.files import write_text
+    from gtcal.overview.draft import draft
+    from gtcal.overview.survey import survey
+    from gtcal.recordings.manifest import MANIFEST_NAMES
+
+    manifest = output if output is not None else folder / MANIFEST_NAMES[0]
+    if manifest.exists() and not force:
+        raise GtcalError(f"{manifest}: is there already; --force replaces it, -o names another file")
+    found = survey(folder)
+    drafted = draft(found, manifest)
+    write_text(manifest, drafted.text)
+    if not quiet:
+        _print(manifest, drafted.questions, found.left)
+
+
+def _print(manifest: Path, questions: tuple[str, ...], left: tuple[str, ...]) -> None:
+    from rich.console import Console
+
+    console = Console(highlight=False, soft_wrap=True)
+    for line in left:
+        console.print(f"left aside: {line}", style="yellow", markup=False)
+    console.print(f"written: {manifest}", markup=False)
+    if questions:
+        console.print(f"to be answered there, {len(questions)}:", markup=False)
+    for question in questions:
+        console.print(f"  {question}", markup=False)

@@ -1,0 +1,183 @@
+"""Which board images show, as far as its tags tell: their dictionary, how many there are, and how they are arranged.
+
+Sizes in metres no image tells, nor the gap between tags to the hundredth: these are for the user to measure.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+import cv2
+import numpy as np
+
+from gtcal.board import aruco_dictionary
+from gtcal.camera import FloatArray
+from gtcal.recordings.detections import IntArray
+from gtcal.recordings.images import GreyImage, Images
+
+# Families that hold each other are represented by their largest member: DICT_4X4_50 is the head of DICT_4X4_1000.
+_ARUCO = {bits: tuple(f"DICT_{bits}X{bits}_{n}" for n in (50, 100, 250, 1000)) for bits in (4, 5, 6, 7)}
+_APRILTAGS = ("DICT_APRILTAG_36h11", "DICT_APRILTAG_36h10", "DICT_APRILTAG_25h9", "DICT_APRILTAG_16h5")
+_KALIBR_BORDER = 2
+_IMAGES = 8
+# Fewer tags are read by chance in any picture.
+_FEWEST_TAGS = 3
+_SURE_TAGS, _FEWEST_TO_ARRANGE, _MOST_COLUMNS = 8, 6, 40
+# An arrangement must place the tags this well, in units of the grid, and another one must not do nearly as well.
+_FITS, _FITS_BETTER = 0.15, 2.0
+
+
+@dataclass(frozen=True)
+class BoardGuess:
+    """What the tags in some images tell.
+
+    kind: 'aprilgrid', 'aruco_grid', 'charuco'. dictionary: OpenCV's name, the smallest that holds the ids.
+    ids: all tag ids that were read. columns, rows: of tags (charuco: of squares), None where they don't tell.
+    first_tag_id: of the whole board, where the arrangement is known.
+    """
+
+    kind: str
+    dictionary: str
+    ids: IntArray
+    columns: int | None
+    rows: int | None
+    first_tag_id: int = 0
+
+
+@dataclass(frozen=True)
+class _Seen:
+    """Tags of one image: ids (F,) and corners_px (F, 4, 2)."""
+
+    ids: IntArray
+    corners_px: FloatArray
+
+    @property
+    def centres_px(self) -> FloatArray:
+        return self.corners_px.mean(axis=1)
+
+
+@dataclass
+class _Arranged:
+    """How well one arrangement fits: rms in units of the grid, of each image."""
+
+    kind: str
+    columns: int
+    rms: list[float] = field(default_factory=list)
+
+
+def guess_board(images: Images) -> BoardGuess | None:
+    """From some images, evenly spread. None where none shows three tags of one dictionary.
+
+    Raises GtcalError where an image can't be read."""
+    shown = [images.read(int(i)) for i in np.unique(np.linspace(0, len(images) - 1, _IMAGES).astype(int))]
+    code = _best_code(shown)
+    if code is None:
+        return None
+    family, border = code
+    seen = [found for image in shown if len((found := _read(image, family, border)).ids)]
+    counts = Counter(int(i) for found in seen for i in found.ids)
+    # An id read once in many images is a misreading where others are read over and over.
+    often = 1 if len(seen) < 4 else 2
+    ids = np.array(sorted(i for i, count in counts.items() if count >= often), dtype=np.int64)
+    if len(ids) < _FEWEST_TAGS:
+        return None
+    seen = [_of(found, ids) for found in seen]
+    return _described(seen, ids, family, border)
+
+
+def _described(seen: list[_Seen], ids: IntArray, family: str, border: int) -> BoardGuess:
+    kinds = ("aprilgrid",) if border == _KALIBR_BORDER else ("aruco_grid", "charuco")
+    dictionary = family if border == _KALIBR_BORDER else _smallest(family, int(ids.max()))
+    found = _arrangement(seen, ids, kinds)
+    if found is None:
+        return BoardGuess(kinds[0], dictionary, ids, None, None)
+    lowest, highest = _grid(found.kind, found.columns, ids)[:, 1][[0, -1]].astype(int)
+    first_row = 0 if found.kind == "charuco" else int(lowest)
+    rows = int(highest) - first_row + 1
+    return BoardGuess(found.kind, dictionary, ids, found.columns, rows, first_row * found.columns)
+
+
+def _of(found: _Seen, ids: IntArray) -> _Seen:
+    kept = np.isin(found.ids, ids)
+    return _Seen(found.ids[kept], found.corners_px[kept])
+
+
+def _codes() -> Iterator[tuple[str, int]]:
+    """Each dictionary to try, and the modules of its border; those in wide use first."""
+    yield _APRILTAGS[0], _KALIBR_BORDER
+    yield from ((members[-1], 1) for members in _ARUCO.values())
+    yield "DICT_ARUCO_ORIGINAL", 1
+    yield _APRILTAGS[0], 1
+    yield from ((family, border) for family in _APRILTAGS[1:] for border in (1, _KALIBR_BORDER))
+
+
+def _best_code(shown: list[GreyImage]) -> tuple[str, int] | None:
+    """The dictionary and border of which an image shows enough tags to be sure, else that of which most are read."""
+    total: Counter[tuple[str, int]] = Counter()
+    for image in shown:
+        for code in _codes():
+            total[code] += len(_read(image, *code).ids)
+            if total[code] >= _SURE_TAGS:
+                return code
+    (best, n), *_ = total.most_common(1)
+    return best if n >= _FEWEST_TAGS else None
+
+
+def _read(image: GreyImage, dictionary: str, border: int) -> _Seen:
+    """Without correcting errors: a chance reading is worse here than a missed tag."""
+    parameters = cv2.aruco.DetectorParameters()
+    parameters.markerBorderBits = border
+    parameters.errorCorrectionRate = 0.0
+    quads, ids, _ = cv2.aruco.ArucoDetector(aruco_dictionary(dictionary), parameters).detectMarkers(image)
+    if ids is None or not len(ids):
+        return _Seen(np.empty(0, dtype=np.int64), np.empty((0, 4, 2)))
+    return _Seen(ids.ravel().astype(np.int64), np.concatenate(quads).astype(np.float64))
+
+
+def _smallest(family: str, largest_id: int) -> str:
+    """The smallest dictionary of the family that holds the id."""
+    members = next((members for members in _ARUCO.values() if family in members), (family,))
+    return next(name for name in members if largest_id < len(aruco_dictionary(name).bytesList))
+
+
+def _arrangement(seen: list[_Seen], ids: IntArray, kinds: tuple[str, ...]) -> _Arranged | None:
+    """The arrangement that places the tags of every image, None where none does, or two do nearly as well."""
+    enough = sorted((found for found in seen if len(found.ids) >= _FEWEST_TO_ARRANGE), key=lambda f: -len(f.ids))[:6]
+    candidates = [
+        _fitted(enough, kind, columns)
+        for kind in kinds
+        for columns in range(2, min(int(ids.max()) + 2, _MOST_COLUMNS + 1))
+    ]
+    fitting = sorted((c for c in candidates if c.rms), key=lambda c: float(np.median(c.rms)))
+    if not fitting or np.median(fitting[0].rms) > _FITS:
+        return None
+    best, others = fitting[0], fitting[1:]
+    if others and np.median(others[0].rms) < _FITS_BETTER * np.median(best.rms):
+        return None
+    return best
+
+
+def _fitted(seen: list[_Seen], kind: str, columns: int) -> _Arranged:
+    arranged = _Arranged(kind, columns)
+    for found in seen:
+        grid = _grid(kind, columns, found.ids)
+        if np.linalg.matrix_rank(grid - grid.mean(axis=0)) < 2:
+            continue
+        grid_H_image, _ = cv2.findHomography(found.centres_px, grid, 0)
+        if grid_H_image is None:
+            continue
+        off = cv2.perspectiveTransform(found.centres_px[:, None], grid_H_image)[:, 0] - grid
+        arranged.rms.append(float(np.sqrt((off**2).sum(axis=1).mean())))
+    return arranged
+
+
+def _grid(kind: str, columns: int, ids: IntArray) -> FloatArray:
+    """(F, 2) where the tags lie, in units of the pitch (charuco: of the squares), row by row. Which way up does not
+    matter to a homography."""
+    if kind != "charuco":
+        return np.stack([ids % columns, ids // columns], axis=1).astype(np.float64)
+    squares = np.arange(2 * (int(ids.max()) + 1 + columns))
+    white = squares[(squares // columns + squares % columns) % 2 == 1]
+    return np.stack([white[ids] % columns, white[ids] // columns], axis=1).astype(np.float64)

@@ -1,0 +1,351 @@
+"""The draft of a manifest: what a folder states is taken, and said why; what it doesn't is a question."""
+
+from __future__ import annotations
+
+import re
+import textwrap
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from factors import CAMERA_MODELS
+from gtcal.board import BOARD_TYPES, PRESETS, board_from_manifest
+from gtcal.errors import GtcalError
+from gtcal.overview.board_guess import BoardGuess, guess_board
+from gtcal.overview.mocap_files import MocapBody
+from gtcal.overview.survey import FoundBoard, FoundCamera, Survey
+from gtcal.recordings.capture import Capture
+from gtcal.recordings.images import relative
+from gtcal.recordings.open_questions import OPEN
+
+_WIDTH = 116
+_PLATFORM = re.compile(r"(platform|headset|hmd|rig|body|camera|cams?\b|glasses|quest|aria|vicon|mocap)")
+_BOARD = re.compile(r"(board|target|grid|april|aruco|tags?\b|checker)")
+_BODY_QUESTIONS = {
+    "quaternion": "In which order are the quaternion's numbers, xyzw or wxyz? The file doesn't say.",
+    "length_unit": "Are the positions in m or in mm? The file doesn't say.",
+    "time_unit": "Are the time stamps in ns, us, ms or s? The file doesn't say.",
+    "rotation": "How are rotations written? The file doesn't say; 'gtcal schema' lists the choices.",
+    "rate_hz": "How many frames a second were taken? The file numbers frames only.",
+}
+_CAPTURES = (
+    "fixed_cameras (the cameras stand, the board is tracked), tracked_platform (rig or headset and board are tracked) "
+    "or standing_board (rig or headset is tracked, the board stands still)"
+)
+_MODELS = (
+    f"Which lens model: {', '.join(CAMERA_MODELS)}? pinhole_radtan for ordinary lenses, a fisheye model for views "
+    "wider than about 100 degrees."
+)
+
+
+@dataclass(frozen=True)
+class Draft:
+    """text: the manifest. questions: what is open in it, as 'field: question'."""
+
+    text: str
+    questions: tuple[str, ...]
+
+
+def draft(found: Survey, manifest: Path) -> Draft:
+    """The draft of ``manifest`` for what was found. The paths in it are relative to its folder.
+
+    Raises GtcalError where an image can't be read."""
+    lines = _Lines(found.folder, manifest.parent)
+    lines.say(
+        f"Drafted by 'gtcal init'. Check what was taken, and replace each {OPEN} by the answer to the question above "
+        "it; until then the manifest does not load."
+    )
+    lines.put("gtcal_recording", 1)
+    roles = _roles(found.bodies)
+    lines.blank()
+    _write_capture(lines, roles, found.bodies)
+    lines.blank()
+    _write_board(lines, found)
+    lines.blank()
+    _write_cameras(lines, found)
+    _write_bodies(lines, roles, found.bodies)
+    _write_left(lines, found, roles)
+    return Draft("\n".join(lines.text) + "\n", tuple(lines.questions))
+
+
+class _Lines:
+    """The lines of the draft as they grow. Fields inside others are indented."""
+
+    def __init__(self, found_in: Path, written_in: Path) -> None:
+        self.found_in, self.written_in = found_in, written_in
+        self.text: list[str] = []
+        self.questions: list[str] = []
+        self._within: list[str] = []
+
+    def path(self, given: str) -> str:
+        """A path relative to the folder that was looked at, as the manifest names it."""
+        return relative(self.found_in / given, self.written_in)
+
+    def blank(self) -> None:
+        self.text.append("")
+
+    def say(self, words: str) -> None:
+        indent = "  " * len(self._within)
+        self.text += textwrap.wrap(words, _WIDTH, initial_indent=f"{indent}# ", subsequent_indent=f"{indent}# ")
+
+    def put(self, name: str, value: Any) -> None:
+        dumped = yaml.safe_dump(value, default_flow_style=True, width=10_000, sort_keys=False).removesuffix("...\n")
+        self.text.append(f"{'  ' * len(self._within)}{name}: {dumped.strip()}")
+
+    def ask(self, name: str, question: str) -> None:
+        self.say(f"{OPEN}: {question}")
+        self.put(name, OPEN)
+        self.questions.append(f"{'.'.join([*self._within, name])}: {question}")
+
+    def enter(self, name: str) -> None:
+        self.text.append(f"{'  ' * len(self._within)}{name}:")
+        self._within.append(name)
+
+    def leave(self) -> None:
+        self._within.pop()
+
+
+def _roles(bodies: Iterable[MocapBody]) -> dict[str, list[MocapBody]]:
+    """The bodies that by their names carry the cameras or the board; 'other': those whose names tell nothing."""
+    roles: dict[str, list[MocapBody]] = {"platform": [], "board_body": [], "other": []}
+    for body in bodies:
+        words = body.called.lower()
+        role = "board_body" if _BOARD.search(words) else "platform" if _PLATFORM.search(words) else "other"
+        roles[role].append(body)
+    return roles
+
+
+def _capture(roles: dict[str, list[MocapBody]]) -> Capture | None:
+    """What the names of the bodies tell; None where they don't."""
+    n_platforms, n_boards, n_others = (len(roles[role]) for role in ("platform", "board_body", "other"))
+    kinds = {
+        (1, 1): Capture.TRACKED_PLATFORM,
+        (0, 1): Capture.FIXED_CAMERAS,
+        (1, 0): Capture.STANDING_BOARD,
+    }
+    return None if n_others else kinds.get((n_platforms, n_boards))
+
+
+def _write_capture(lines: _Lines, roles: dict[str, list[MocapBody]], bodies: tuple[MocapBody, ...]) -> None:
+    capture = _capture(roles)
+    if capture is None:
+        names = ", ".join(body.called for body in bodies) or "none was found"
+        lines.ask("capture", f"What was tracked: {_CAPTURES}? Tracked bodies: {names}.")
+        return
+    told = " and ".join(
+        f"{roles[role][0].called!r} is taken for {what}"
+        for role, what in (("platform", "what carries the cameras"), ("board_body", "the board"))
+        if roles[role]
+    )
+    nothing_else = "" if len(bodies) > 1 else "; nothing else is tracked"
+    lines.say(f"By its name, {told}{nothing_else}. The kinds of capture: {_CAPTURES}.")
+    lines.put("capture", capture.value)
+
+
+def _write_board(lines: _Lines, found: Survey) -> None:
+    guess = _guess(found.cameras)
+    usable = [board for board in found.boards if _is_valid(board)]
+    if len(usable) == 1:
+        where = relative(usable[0].path, lines.written_in)
+        lines.say(f"From {where}.{_agrees(usable[0].block, guess)}")
+        lines.put("board", usable[0].block)
+    elif guess is None:
+        several = " ".join(f"{relative(board.path, lines.written_in)} says {board.block}." for board in usable)
+        lines.ask(
+            "board",
+            f"Which board was shown? {several + ' ' if several else ''}As {{preset: paper_a2}}, or {{type: ...}} with "
+            f"its fields, of {', '.join(BOARD_TYPES)}; 'gtcal schema' lists them. "
+            + ("No tags were read in the images." if found.cameras else ""),
+        )
+    else:
+        _write_guess(lines, guess)
+
+
+def _is_valid(board: FoundBoard) -> bool:
+    try:
+        board_from_manifest(board.block)
+    except GtcalError:
+        return False
+    return True
+
+
+def _guess(cameras: Iterable[FoundCamera]) -> BoardGuess | None:
+    """From the first camera that shows the board."""
+    guesses = (guess_board(camera.images) for camera in cameras if camera.images is not None)
+    return next((guess for guess in guesses if guess is not None), None)
+
+
+def _agrees(block: dict[str, Any], guess: BoardGuess | None) -> str:
+    """What the images say to the board of a file."""
+    if guess is None:
+        return " No tags were read in the images: check it."
+    board = board_from_manifest(block)
+    if guess.dictionary != board.dictionary or not set(guess.ids.tolist()) <= set(board.tag_ids.tolist()):
+        return (
+            f" BUT the images show {guess.kind} tags of {guess.dictionary}, ids {guess.ids.min()} to "
+            f"{guess.ids.max()}: check it."
+        )
+    return f" The images show its tags ({len(guess.ids)} of them were read)."
+
+
+def _write_guess(lines: _Lines, guess: BoardGuess) -> None:
+    lines.say(
+        f"The images show tags of {guess.dictionary}, ids {guess.ids.min()} to {guess.ids.max()}"
+        + (
+            f", arranged as on a board of type {guess.kind}."
+            if guess.columns
+            else "; how they are arranged is unclear."
+        )
+    )
+    preset = next((name for name, board in PRESETS.items() if _could_be(board, guess)), None)
+    if preset is not None:
+        lines.ask(
+            "board",
+            f"Which board was shown? If it is the preset {preset} ({PRESETS[preset].describe()}), printed at 100 %, "
+            f"answer {{preset: {preset}}}; else {{type: {guess.kind}, ...}}, see 'gtcal schema'.",
+        )
+        return
+    lines.enter("board")
+    lines.put("type", guess.kind)
+    if guess.kind == "aprilgrid":
+        lines.put("family", guess.dictionary.removeprefix("DICT_APRILTAG_"))
+    else:
+        lines.put("dictionary", guess.dictionary)
+    what = "square" if guess.kind == "charuco" else "tag"
+    for name, count in ((f"{what}_columns", guess.columns), (f"{what}_rows", guess.rows)):
+        if count is None:
+            lines.ask(name, f"How many {name.replace('_', ' ')} has the board?")
+        else:
+            lines.put(name, count)
+    if guess.first_tag_id:
+        lines.put("first_tag_id", guess.first_tag_id)
+    for name, question in _SIZE_QUESTIONS[guess.kind].items():
+        lines.ask(name, question)
+    lines.leave()
+
+
+_SIDE_QUESTION = "How long is the side of a tag's black square, in m? Measure it on the print, over several tags."
+_SIZE_QUESTIONS = {
+    "aprilgrid": {
+        "tag_side_m": _SIDE_QUESTION,
+        "tag_spacing": "How wide is the gap between two tags, over a tag's side? 0.3 on Kalibr's boards; measure it.",
+    },
+    "aruco_grid": {
+        "tag_side_m": _SIDE_QUESTION,
+        "tag_gap_m": "How wide is the white between two tags, in m?",
+        "corner_squares": "Are there black squares where the gaps cross, true or false?",
+    },
+    "charuco": {
+        "square_side_m": "How long is the side of a chessboard square, in m? Measure it over several squares.",
+        "marker_side_m": "How long is the side of a tag's black square, in m?",
+    },
+}
+
+
+def _could_be(board: Any, guess: BoardGuess) -> bool:
+    same_tags = board.dictionary == guess.dictionary and set(guess.ids.tolist()) <= set(board.tag_ids.tolist())
+    columns = getattr(board, "tag_columns", None)
+    return same_tags and guess.columns in (None, columns)
+
+
+def _write_cameras(lines: _Lines, found: Survey) -> None:
+    if not found.cameras:
+        lines.ask("cameras", "Where are the cameras' images? None were found in this folder; see 'gtcal schema'.")
+        return
+    lines.enter("cameras")
+    for camera in found.cameras:
+        _write_camera(lines, camera)
+    lines.leave()
+
+
+def _write_camera(lines: _Lines, camera: FoundCamera) -> None:
+    lines.say(
+        camera.what + ("" if camera.lens_from is None else f"; the lens is that of {lines.path(camera.lens_from)}")
+    )
+    lines.enter(camera.name)
+    if "model" in camera.fields:
+        lines.put("model", camera.fields["model"])
+    else:
+        lines.ask("model", _MODELS)
+    if "parameters" not in camera.fields and "parameters" not in camera.asked:
+        lines.say(
+            "No intrinsics were found: 'gtcal calibrate --calibrate-intrinsics' finds them, or state 'parameters'."
+        )
+    for name, value in camera.fields.items():
+        if name != "model":
+            lines.put(name, lines.path(value) if name in _PATH_FIELDS else value)
+    for name, question in camera.asked.items():
+        lines.ask(name, question)
+    if camera.detections is not None:
+        lines.say(f"Corners were found in {lines.path(camera.detections)}; to take them in place of detecting, add:")
+        lines.say(f"detections: {lines.path(camera.detections)}")
+    lines.leave()
+
+
+_PATH_FIELDS = ("images", "image_list", "video", "bag", "vrs")
+
+
+def _write_bodies(lines: _Lines, roles: dict[str, list[MocapBody]], bodies: tuple[MocapBody, ...]) -> None:
+    """Those that the capture needs; where that is open, a question for each kind that could be."""
+    capture = _capture(roles)
+    if capture is not None:
+        for role in capture.bodies:
+            _write_body(lines, role, roles[role][0])
+        return
+    choices = "; ".join(_flow(lines, body) for body in bodies) or "none was found"
+    for role, what in (("platform", "carries the cameras"), ("board_body", "carries the board")):
+        lines.blank()
+        lines.ask(role, f"Which tracked body {what}? One of: {choices}. Leave this field out where nothing does.")
+
+
+def _flow(lines: _Lines, body: MocapBody) -> str:
+    """The body's entry on one line."""
+    named = {} if body.name is None else {"name": body.name}
+    entry = {"trajectory": relative(body.path, lines.written_in), "format": body.format, **named}
+    open_fields = dict.fromkeys(body.open_fields, "...")
+    return yaml.safe_dump({**entry, **open_fields}, default_flow_style=True, width=10_000, sort_keys=False).strip()
+
+
+def _write_body(lines: _Lines, role: str, body: MocapBody) -> None:
+    lines.blank()
+    lines.say(f"{body.n_samples} poses{_seconds(body)}.")
+    lines.enter(role)
+    lines.put("trajectory", relative(body.path, lines.written_in))
+    lines.put("format", body.format)
+    if body.name is not None:
+        lines.put("name", body.name)
+    for name in body.open_fields:
+        lines.ask(name, _BODY_QUESTIONS[name])
+    lines.leave()
+
+
+def _seconds(body: MocapBody) -> str:
+    return "" if body.span_ns is None else f" over {(body.span_ns[1] - body.span_ns[0]) * 1e-9:.1f} s"
+
+
+def _write_left(lines: _Lines, found: Survey, roles: dict[str, list[MocapBody]]) -> None:
+    """What doesn't fit together, and what was left aside."""
+    notes = [*_times_apart(found), *(f"Left aside: {line}" for line in found.left)]
+    if notes:
+        lines.blank()
+    for note in notes:
+        lines.say(note)
+
+
+def _times_apart(found: Survey) -> Iterable[str]:
+    for camera in found.cameras:
+        if camera.images is None or "stamp_offset_ns" in camera.asked:
+            continue
+        first, last = int(camera.images.stamps_ns[0]), int(camera.images.stamps_ns[-1])
+        spans = {body.called: body.span_ns for body in found.bodies if body.span_ns is not None}
+        apart = [
+            f"{name} ({span[0]} to {span[1]} ns)" for name, span in spans.items() if last < span[0] or first > span[1]
+        ]
+        if apart:
+            yield (
+                f"WARNING: {camera.name} ({first} to {last} ns) has no time in common with {', '.join(apart)}: another "
+                "clock? See 'stamp_offset_ns'."
+            )
