@@ -61,6 +61,25 @@ class MocapNoiseFit:
     dropped: tuple[Dropped, ...]
 
 
+def model_mocap_noise(
+    adjusted: Adjusted, motion: RefMotion, options: CalibrationOptions, progress: Progress = silent
+) -> tuple[Adjusted, MocapNoiseFit] | None:
+    """Stage 4 from stage 3's solution, and the noise that it models; None as of ``fit_mocap_noise``.
+
+    Free intrinsics are bent by stage 3 to fit the mocap's noise, which hides some of it: they are solved for twice, the
+    second time with the noise that the first solution shows."""
+    found: tuple[Adjusted, MocapNoiseFit] | None = None
+    for _ in range(2 if options.refine_intrinsics else 1):
+        fitted = fit_mocap_noise(found[0] if found else adjusted, motion, options)
+        if fitted is None:
+            break
+        screened, fit = fitted
+        freed = adjust_with_mocap_noise(screened, fit, motion, options, progress)
+        before = found[1].dropped if found else ()
+        found = freed, replace(fit, dropped=before + fit.dropped + _dropped_at_edge(screened, freed))
+    return found
+
+
 def fit_mocap_noise(
     adjusted: Adjusted, motion: RefMotion, options: CalibrationOptions
 ) -> tuple[Adjusted, MocapNoiseFit] | None:
@@ -165,7 +184,7 @@ def adjust_with_mocap_noise(
     return Adjusted(estimate, fit.sigma_px, adjusted.screened.under(estimate), graph, found.values, found.errors)
 
 
-def dropped_at_edge(adjusted: Adjusted, freed: Adjusted) -> tuple[Dropped, ...]:
+def _dropped_at_edge(adjusted: Adjusted, freed: Adjusted) -> tuple[Dropped, ...]:
     """What ``adjust_with_mocap_noise`` left out."""
     counts = {
         name: (

@@ -13,12 +13,7 @@ from gtcal.estimation.adjustment import Adjusted, adjust, joint_covariance, join
 from gtcal.estimation.alignment import GuideViews, fitting_views, stage_1, stage_2, without_stage_1
 from gtcal.estimation.choice import choose
 from gtcal.estimation.clustered import clustered
-from gtcal.estimation.errors_in_variables import (
-    adjust_with_mocap_noise,
-    dropped_at_edge,
-    fit_mocap_noise,
-    whiteness,
-)
+from gtcal.estimation.errors_in_variables import model_mocap_noise, whiteness
 from gtcal.estimation.estimate import Estimate
 from gtcal.estimation.motion import check_turning, turning
 from gtcal.estimation.observations import Dropped, Observations, Views
@@ -266,13 +261,12 @@ def _with_mocap_noise(
         return _Found(adjusted, {3: adjusted.estimate}, {}, None, dropped)
     covariances = {NAIVE: naive}
     started = time.perf_counter()
-    fit = None if options.mocap == "exact" else fit_mocap_noise(adjusted, motion, options)
-    correlation_s = fit[1].noise.correlation_s if fit else 0.0
+    modelled = None if options.mocap == "exact" else model_mocap_noise(adjusted, motion, options, progress)
+    correlation_s = modelled[1].noise.correlation_s if modelled else 0.0
     covariances |= clustered(adjusted, options, correlation_s, sizes=naive.theta_sizes)
-    if fit is None:
+    if modelled is None:
         return _Found(adjusted, {3: adjusted.estimate}, covariances, None, dropped)
-    screened, noise = fit
-    freed = adjust_with_mocap_noise(screened, noise, motion, options, progress)
+    freed, noise = modelled
     of_freed = joint_covariance(freed, ERRORS_IN_VARIABLES)
     covariances |= {ERRORS_IN_VARIABLES: of_freed} if of_freed else {}
     report = _report(4, "mocap noise", started, freed.errors, "whitened")
@@ -281,8 +275,7 @@ def _with_mocap_noise(
     estimates = {3: adjusted.estimate, 4: freed.estimate}
     if chosen.stage == 3:
         return _Found(adjusted, estimates, covariances, chosen, dropped, (report,))
-    dropped += noise.dropped + dropped_at_edge(screened, freed)
-    return _Found(freed, estimates, covariances, chosen, dropped, (report,))
+    return _Found(freed, estimates, covariances, chosen, dropped + noise.dropped, (report,))
 
 
 def _guides(views: Mapping[str, Views], options: CalibrationOptions, progress: Progress) -> dict[str, GuideViews]:
