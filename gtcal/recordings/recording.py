@@ -195,7 +195,7 @@ class Loader:
     def trajectory(self, name: str, entry: TrajectoryEntry) -> Trajectory:
         path = self._existing(f"{name}.trajectory", entry.trajectory)
         self.used.append(path)
-        return TRAJECTORY_READERS[entry.format](path, name, entry.conventions)
+        return TRAJECTORY_READERS[entry.format](path, name, entry.conventions, entry.selection)
 
     def check_millimetres(self, bodies: dict[str, TrajectoryEntry], trajectories: dict[str, Trajectory]) -> None:
         """Metres declared as millimetres leave every body within millimetres of where it started."""
