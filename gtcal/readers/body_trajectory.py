@@ -5,7 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
+from factors.rigid import inverse
 from gtcal.camera import BoolArray, FloatArray
 from gtcal.errors import GtcalError
 from gtcal.readers.mocap_take import METRES_PER_UNIT, BodyColumns, MocapTake, frame_stamps_ns, rotations
@@ -17,9 +19,13 @@ from gtcal.recordings.trajectory import Trajectory
 
 _SHOWN_NAMES = 12
 _JUDGED_FRAMES = 2000
-# Markers of a body that its own poses leave behind by more than this are carried along wrongly: wrong rotations.
+# Filters lag by some degrees, mirrored axes turn the other way. Where the software says where its own pose puts the
+# markers, there is no lag.
+_LARGEST_DISAGREEMENT_DEG = 10.0
 _LARGEST_DISAGREEMENT_M = 0.01
 _TRIMMED = 0.95
+# A hundredth of a millimetre is no reason to prefer anything.
+_WORTH_M = 1e-5
 
 
 @dataclass(frozen=True)
@@ -120,7 +126,7 @@ def from_both(poses: FloatArray, markers_m: FloatArray, labels: tuple[str, ...],
         return Solved(poses, ())
     found = fit(shape, markers_m)
     by_file_m, by_markers_m = _prediction_errors_m(poses, shape, markers_m, found)
-    if by_markers_m < by_file_m:
+    if by_file_m - by_markers_m > _WORTH_M:
         note = (
             f"{body}: solved from its {len(labels)} measured markers, which the file's poses miss by "
             f"{1000 * by_file_m:.3g} mm rms and each other by {1000 * by_markers_m:.3g} mm"
@@ -141,27 +147,25 @@ def from_both(poses: FloatArray, markers_m: FloatArray, labels: tuple[str, ...],
 def _shape_in_file_frame(
     poses: FloatArray, markers_m: FloatArray, labels: tuple[str, ...], what: str
 ) -> MarkerShape | None:
-    """The markers' own mean shape, placed where the file's poses put it on the whole. None where a marker was never
-    seen while there was a pose."""
-    posed = np.isfinite(poses).all(axis=(1, 2)) & np.isfinite(markers_m).any(axis=(1, 2))
-    rows = _spread(np.flatnonzero(posed))
-    if not len(rows):
+    """The markers' own mean shape, placed where the file's poses put it on the whole. None where they were not seen
+    together."""
+    rows = _spread(np.flatnonzero(np.isfinite(poses).all(axis=(1, 2)) & np.isfinite(markers_m).any(axis=(1, 2))))
+    if not len(rows) or not np.isfinite(markers_m).all(axis=2).any(axis=0).all():
         return None
-    in_body_m = (markers_m[rows] - poses[rows, None, :3, 3]) @ poses[rows, :3, :3]
-    if not np.isfinite(in_body_m).all(axis=2).any(axis=0).all():
+    own_m = mean_shape(markers_m, labels, what)
+    found = fit(MarkerShape(labels, own_m), markers_m[rows])
+    if not found.ok.any():
         return None
-    placed_m = np.nanmedian(in_body_m, axis=0)
-    off_m = float(np.nanmedian(np.linalg.norm(in_body_m - placed_m, axis=2)))
-    if off_m > _LARGEST_DISAGREEMENT_M:
+    body_T_own = inverse(poses[rows][found.ok]) @ found.world_T_body[found.ok]
+    turned = Rotation.from_matrix(body_T_own[:, :3, :3])
+    middle = turned.mean()
+    off_deg = float(np.rad2deg(np.median((middle.inv() * turned).magnitude())))
+    if off_deg > _LARGEST_DISAGREEMENT_DEG:
         raise GtcalError(
-            f"{what}: the body's poses leave its markers {', '.join(labels)} behind by {1000 * off_m:.3g} mm "
+            f"{what}: the body's rotations differ from those of its markers {', '.join(labels)} by {off_deg:.3g} deg "
             "(median); are the axes right-handed, and are these its markers?"
         )
-    own_m = mean_shape(markers_m, labels, what)
-    moved, _ = register(own_m, placed_m[None])
-    if np.isnan(moved).any():
-        return None
-    return MarkerShape(labels, own_m @ moved[0, :3, :3].T + moved[0, :3, 3])
+    return MarkerShape(labels, middle.apply(own_m) + np.median(body_T_own[:, :3, 3], axis=0))
 
 
 def _prediction_errors_m(
