@@ -8,10 +8,10 @@ from typing import Protocol
 from gtcal.readers.c3d import read_c3d as read_c3d
 from gtcal.readers.euroc_csv import read_euroc_csv as read_euroc_csv
 from gtcal.readers.euroc_csv import write_euroc_csv as write_euroc_csv
-from gtcal.readers.inspect import BodySummary as BodySummary
-from gtcal.readers.inspect import MocapSummary as MocapSummary
-from gtcal.readers.inspect import detect_mocap_format as detect_mocap_format
-from gtcal.readers.inspect import inspect_mocap as inspect_mocap
+from gtcal.readers.mocap_summary import BodySummary as BodySummary
+from gtcal.readers.mocap_summary import MocapSummary as MocapSummary
+from gtcal.readers.mocap_summary import detect_mocap_format as detect_mocap_format
+from gtcal.readers.mocap_summary import inspect_mocap as inspect_mocap
 from gtcal.readers.motive_csv import read_motive_csv as read_motive_csv
 from gtcal.readers.poses import PoseConventions as PoseConventions
 from gtcal.readers.qualisys_tsv import read_qualisys_tsv as read_qualisys_tsv

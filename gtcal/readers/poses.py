@@ -12,6 +12,7 @@ import numpy.typing as npt
 from factors.rigid import inverse
 from gtcal.camera import FloatArray
 from gtcal.errors import GtcalError
+from gtcal.readers.text_export import cut_note
 from gtcal.recordings.detections import IntArray
 from gtcal.recordings.text_table import TextTable
 from gtcal.recordings.trajectory import QuaternionOrder, Trajectory, poses_from_quaternions
@@ -93,6 +94,10 @@ def trajectory_from_rows(table: TextTable, body: str, rows: npt.NDArray, convent
 
     Raises GtcalError with file and line where a time stamp repeats or goes backward, a quaternion is not of unit
     length, or a position or the sampling rate is out of this world."""
+    notes: tuple[str, ...] = ()
+    if len(rows) > 1 and table.last_line_has_no_end():
+        rows = rows[:-1]
+        notes = (f"{body}: {cut_note(table.path)}",)
     if not len(rows):
         raise GtcalError(f"{table.path}: there are no poses in the file")
     stamps_ns = table.stamps_ns(rows["stamp"], conventions.time_unit)
@@ -106,7 +111,7 @@ def trajectory_from_rows(table: TextTable, body: str, rows: npt.NDArray, convent
     if (row := farthest_row(world_T_body[:, :3, 3])) is not None:
         distance_m = float(np.linalg.norm(world_T_body[row, :3, 3]))
         raise table.error(row, f"the position is {distance_m:.6g} m from the mocap origin")
-    return Trajectory(body, stamps_ns, world_T_body)
+    return Trajectory(body, stamps_ns, world_T_body, notes)
 
 
 def _unit_quaternions(table: TextTable, quats: FloatArray) -> FloatArray:

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from gtcal.camera import FloatArray
+from gtcal.errors import GtcalError
 from gtcal.readers.body_trajectory import trajectory_of
 from gtcal.readers.mocap_take import (
     METRES_PER_UNIT,
@@ -66,6 +67,12 @@ def read_qualisys_take(path: Path) -> MocapTake:
     lead, groups, n_columns = _groups(export, columns_line, names)
     rows = export.rows(columns_line.end, columns_line.number + 1, _TAB, n_columns)
     export.check_end(rows)
+    said = " ".join(settings.get("NO_OF_FRAMES", ()))
+    if not lead and said != str(len(rows.values)):
+        raise GtcalError(
+            f"{path}: NO_OF_FRAMES is {said or 'not stated'}, but there are {len(rows.values)} rows, and nothing tells "
+            "which frames these are; export with frame numbers or times"
+        )
     rate_hz = stated_rate_hz(f"{path}: FREQUENCY", " ".join(settings.get("FREQUENCY", ())).strip())
     values = rows.values
     frames = (
@@ -87,7 +94,7 @@ def read_qualisys_take(path: Path) -> MocapTake:
         bodies={name: _body(values, group) for name, group in groups.items()},
         markers={},
         stated={key: " ".join(cells) for key, cells in settings.items() if key != "BODY_NAMES"},
-        notes=row_notes(path, " ".join(settings.get("NO_OF_FRAMES", ())), rows),
+        notes=row_notes(path, said, rows),
     )
 
 

@@ -14,6 +14,7 @@ from itertools import combinations
 
 import numpy as np
 
+from factors.kernel import kernel
 from gtcal.camera import BoolArray, FloatArray
 from gtcal.errors import GtcalError
 from gtcal.recordings.detections import IntArray
@@ -30,7 +31,7 @@ _LIMIT_RATIO, _LIMIT_SIGMAS = 3.0, 6.0
 _LEAST_RIGID_RMS_M = 5e-3
 _SHAPE_FRAMES = 2000
 _SHAPE_ROUNDS = 6
-_CHUNK = 100_000
+_BITS = 30
 # A marker this near to the centroid, as a share of the body's size, gives no axis.
 _TOO_CENTRAL = 0.05
 
@@ -76,42 +77,148 @@ class MarkerFit:
 def register(points_m: FloatArray, markers_m: FloatArray) -> tuple[FloatArray, FloatArray]:
     """The rigid transforms (N, 4, 4) that take points_m (n, 3) closest to markers_m (N, n, 3), NaN where a marker is
     not seen, and their residuals (N,), rms per marker. Both are NaN where the markers do not determine a pose."""
-    parts = [_register(points_m, markers_m[i : i + _CHUNK]) for i in range(0, len(markers_m), _CHUNK)]
-    if not parts:
-        return np.empty((0, 4, 4)), np.empty(0)
-    return np.concatenate([part[0] for part in parts]), np.concatenate([part[1] for part in parts])
-
-
-def _register(points_m: FloatArray, markers_m: FloatArray) -> tuple[FloatArray, FloatArray]:
     seen = _all_finite(markers_m) & _all_finite(points_m)
     poses = np.full((len(markers_m), 4, 4), np.nan)
     rms_m = np.full(len(markers_m), np.nan)
-    rows = np.flatnonzero(_determined(points_m, seen))
-    if not len(rows):
-        return poses, rms_m
-    weights = seen[rows].astype(np.float64)
-    counts = weights.sum(axis=1)
-    known = np.where(np.isfinite(points_m), points_m, 0.0)
-    measured = np.where(seen[rows, :, None], markers_m[rows], 0.0)
-    point_means = (weights @ known) / counts[:, None]
-    marker_means = measured.sum(axis=1) / counts[:, None]
-    centred = (measured - marker_means[:, None]) * weights[:, :, None]
-    U, _, Vt = np.linalg.svd(np.swapaxes(centred, 1, 2) @ known)
-    U[:, :, 2] *= np.sign(np.linalg.det(U @ Vt))[:, None]
-    turned = U @ Vt
-    offset = marker_means - (turned @ point_means[:, :, None])[:, :, 0]
-    off = (measured - known @ np.swapaxes(turned, 1, 2) - offset[:, None]) * weights[:, :, None]
-    poses[rows] = np.eye(4)
-    poses[rows, :3, :3], poses[rows, :3, 3] = turned, offset
-    rms_m[rows] = np.sqrt((off**2).sum(axis=(1, 2)) / counts)
+    _register(np.ascontiguousarray(points_m), markers_m, seen, _determined(points_m, seen), poses, rms_m)
     return poses, rms_m
 
 
 def _determined(points_m: FloatArray, seen: BoolArray) -> BoolArray:
     """(N,) whether the markers that are seen are three or more and not in a line."""
-    patterns, which = np.unique(seen, axis=0, return_inverse=True)
-    good = np.array([_spans_a_plane(points_m[pattern]) for pattern in patterns], dtype=np.bool_)
-    return good[which.reshape(-1)]
+    patterns, which, _ = _patterns(seen)
+    return np.array([_spans_a_plane(points_m[pattern]) for pattern in patterns], dtype=np.bool_)[which]
+
+
+def _patterns(seen: BoolArray) -> tuple[BoolArray, IntArray, IntArray]:
+    """The different rows of seen (N, n), which of them each row is, and how often each is there. Bits are packed into
+    whole numbers, since NumPy compares rows a hundred times slower than numbers."""
+    n = seen.shape[1]
+    keys = np.zeros(len(seen), dtype=np.int64)
+    for start in range(0, n, _BITS):
+        bits = seen[:, start : start + _BITS]
+        packed = bits @ (1 << np.arange(bits.shape[1], dtype=np.int64))
+        # renumbered from 0, so that many markers' numbers still fit
+        _, keys = np.unique(keys * (1 << bits.shape[1]) + packed, return_inverse=True)
+    _, first, which, counts = np.unique(keys, return_index=True, return_inverse=True, return_counts=True)
+    return seen[first], which.reshape(-1), counts
+
+
+@kernel
+def _register(
+    points_m: FloatArray,
+    markers_m: FloatArray,
+    seen: BoolArray,
+    determined: BoolArray,
+    poses: FloatArray,
+    rms_m: FloatArray,
+) -> None:
+    """Horn's closed form (1987): the rotation is the eigenvector, as a quaternion, of the largest eigenvalue of a
+    symmetric 4 x 4 matrix of the markers' second moments. Writes poses (N, 4, 4) and rms_m (N,)."""
+    n = len(points_m)
+    moments = np.empty((3, 3))
+    horn = np.empty((4, 4))
+    vectors = np.empty((4, 4))
+    for row in range(len(markers_m)):
+        if not determined[row]:
+            continue
+        count = 0
+        point_mean = np.zeros(3)
+        marker_mean = np.zeros(3)
+        for i in range(n):
+            if seen[row, i]:
+                count += 1
+                for k in range(3):
+                    point_mean[k] += points_m[i, k]
+                    marker_mean[k] += markers_m[row, i, k]
+        point_mean /= count
+        marker_mean /= count
+        moments[:] = 0.0
+        for i in range(n):
+            if seen[row, i]:
+                for k in range(3):
+                    for m in range(3):
+                        moments[k, m] += (points_m[i, k] - point_mean[k]) * (markers_m[row, i, m] - marker_mean[m])
+        _horn_matrix(moments, horn)
+        _eigenvectors(horn, vectors)
+        best = 0
+        for k in range(1, 4):
+            if horn[k, k] > horn[best, best]:
+                best = k
+        pose = poses[row]
+        _rotation_of(vectors[0, best], vectors[1, best], vectors[2, best], vectors[3, best], pose)
+        for k in range(3):
+            turned = pose[k, 0] * point_mean[0] + pose[k, 1] * point_mean[1] + pose[k, 2] * point_mean[2]
+            pose[k, 3] = marker_mean[k] - turned
+            pose[3, k] = 0.0
+        pose[3, 3] = 1.0
+        total = 0.0
+        for i in range(n):
+            if seen[row, i]:
+                for k in range(3):
+                    at = pose[k, 3]
+                    for m in range(3):
+                        at += pose[k, m] * points_m[i, m]
+                    total += (at - markers_m[row, i, k]) ** 2
+        rms_m[row] = np.sqrt(total / count)
+
+
+@kernel
+def _horn_matrix(S: FloatArray, horn: FloatArray) -> None:
+    """Horn's matrix of S = sum point marker^T, for quaternions wxyz."""
+    horn[0, 0] = S[0, 0] + S[1, 1] + S[2, 2]
+    horn[1, 1] = S[0, 0] - S[1, 1] - S[2, 2]
+    horn[2, 2] = -S[0, 0] + S[1, 1] - S[2, 2]
+    horn[3, 3] = -S[0, 0] - S[1, 1] + S[2, 2]
+    horn[0, 1] = horn[1, 0] = S[1, 2] - S[2, 1]
+    horn[0, 2] = horn[2, 0] = S[2, 0] - S[0, 2]
+    horn[0, 3] = horn[3, 0] = S[0, 1] - S[1, 0]
+    horn[1, 2] = horn[2, 1] = S[0, 1] + S[1, 0]
+    horn[1, 3] = horn[3, 1] = S[2, 0] + S[0, 2]
+    horn[2, 3] = horn[3, 2] = S[1, 2] + S[2, 1]
+
+
+@kernel
+def _eigenvectors(A: FloatArray, V: FloatArray) -> None:
+    """Jacobi's method: turns the symmetric A (4, 4) diagonal, and the columns of V into its eigenvectors."""
+    V[:] = 0.0
+    scale = 0.0
+    for k in range(4):
+        V[k, k] = 1.0
+        for m in range(4):
+            scale = max(scale, abs(A[k, m]))
+    for _ in range(30):
+        off = 0.0
+        for p in range(3):
+            for q in range(p + 1, 4):
+                off = max(off, abs(A[p, q]))
+                if abs(A[p, q]) <= 1e-17 * scale:
+                    continue
+                theta = (A[q, q] - A[p, p]) / (2.0 * A[p, q])
+                t = (1.0 if theta >= 0.0 else -1.0) / (abs(theta) + np.sqrt(theta * theta + 1.0))
+                c = 1.0 / np.sqrt(t * t + 1.0)
+                s = t * c
+                for k in range(4):
+                    a, b = A[k, p], A[k, q]
+                    A[k, p], A[k, q] = c * a - s * b, s * a + c * b
+                for k in range(4):
+                    a, b = A[p, k], A[q, k]
+                    A[p, k], A[q, k] = c * a - s * b, s * a + c * b
+                for k in range(4):
+                    a, b = V[k, p], V[k, q]
+                    V[k, p], V[k, q] = c * a - s * b, s * a + c * b
+        if off <= 1e-17 * scale:
+            break
+
+
+@kernel
+def _rotation_of(w: float, x: float, y: float, z: float, pose: FloatArray) -> None:
+    """Write the rotation of a quaternion into pose (4, 4), made unit."""
+    norm = np.sqrt(w * w + x * x + y * y + z * z)
+    w, x, y, z = w / norm, x / norm, y / norm, z / norm
+    pose[0, 0], pose[0, 1], pose[0, 2] = 1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)
+    pose[1, 0], pose[1, 1], pose[1, 2] = 2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)
+    pose[2, 0], pose[2, 1], pose[2, 2] = 2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)
 
 
 def _spans_a_plane(points_m: FloatArray) -> bool:
@@ -163,8 +270,7 @@ def mean_shape(markers_m: FloatArray, labels: Sequence[str], what: str) -> Float
 
 def _frames_for_shape(markers_m: FloatArray, seen: BoolArray) -> FloatArray:
     """Frames that show most, evenly over the take, but some for each pattern of seen markers."""
-    patterns, which, counts = np.unique(seen, axis=0, return_inverse=True, return_counts=True)
-    which = which.reshape(-1)
+    patterns, which, counts = _patterns(seen)
     by_most_seen = np.argsort(-patterns.sum(axis=1), kind="stable")
     rows: list[np.ndarray] = []
     for pattern in by_most_seen[:50]:

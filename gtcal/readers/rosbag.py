@@ -33,7 +33,7 @@ _STAMPED = {
     "nav_msgs/msg/Odometry": True,
 }
 """Messages of one pose, and whether the name of a child frame stands before it."""
-_TF = "tf2_msgs/msg/TFMessage"
+_TF = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 
 # stamp in ns, parent frame, child frame, x, y, z, qx, qy, qz, qw
 _Row = tuple[int, str, str, tuple[float, ...]]
@@ -72,7 +72,7 @@ def read_rosbag_takes(path: Path) -> dict[str, MocapTake]:
         raise GtcalError(f"{path}: is no bag; expected a .bag, .db3 or .mcap file or a folder with metadata.yaml")
     bodies = _bodies(path)
     if not bodies:
-        kinds = ", ".join(kind.split("/")[-1] for kind in (*_STAMPED, _TF))
+        kinds = ", ".join(kind.split("/")[-1] for kind in (*_STAMPED, _TF[0]))
         raise GtcalError(f"{path}: the bag holds no message of {kinds}")
     return {name: _take(path, name, messages) for name, messages in sorted(bodies.items())}
 
@@ -99,10 +99,10 @@ def _bodies(path: Path) -> dict[str, _Body]:
     by_frame: dict[str, dict[str, _Body]] = {}
     try:
         with AnyReader([path], default_typestore=get_typestore(Stores.LATEST)) as reader:
-            wanted = [c for c in reader.connections if c.msgtype in _STAMPED or c.msgtype == _TF]
+            wanted = [c for c in reader.connections if c.msgtype in _STAMPED or c.msgtype in _TF]
             checked: set[int] = set()
             for connection, _, raw in reader.messages(connections=wanted) if wanted else ():
-                unpack = _tf_rows if connection.msgtype == _TF else _stamped_rows
+                unpack = _tf_rows if connection.msgtype in _TF else _stamped_rows
                 rows = list(unpack(raw, reader.is2, _STAMPED.get(connection.msgtype, True)))
                 if connection.id not in checked and rows:
                     checked.add(connection.id)
@@ -113,7 +113,7 @@ def _bodies(path: Path) -> dict[str, _Body]:
                     messages.parents.add(parent)
                     messages.stamps_ns.append(stamp_ns)
                     messages.numbers.append(numbers)
-            is_tf = {c.topic for c in wanted if c.msgtype == _TF}
+            is_tf = {c.topic for c in wanted if c.msgtype in _TF}
     except Exception as error:  # the library raises what its parsers, SQLite and the like do
         raise GtcalError(
             f"{path}: the bag can't be read: {' '.join(str(error).split()) or type(error).__name__}"

@@ -38,7 +38,10 @@ class Line:
 
     def fields(self, separator: str) -> tuple[str, ...]:
         """The cells, without quotes and surrounding blanks."""
-        cells = next(csv.reader([self.text], delimiter=separator), [])
+        try:
+            cells = next(csv.reader([self.text.replace("\r", " ")], delimiter=separator), [])
+        except csv.Error:  # a quote that never ends runs into the reader's limit
+            cells = self.text.split(separator)
         return tuple(cell.strip() for cell in cells)
 
     @property
@@ -174,11 +177,16 @@ def separator_after(text: str, word: str) -> str | None:
     return follows if follows in SEPARATORS and follows else None
 
 
+def cut_note(path: Path) -> str:
+    """What is said where a file's last line was left out."""
+    return f"the last line of {path.name} has no ending, as if cut off, and was left out"
+
+
 def row_notes(path: Path, frames_stated: str | None, rows: Rows) -> tuple[str, ...]:
     """What is odd about the rows: a last line without an ending, another number than the header states."""
     notes = []
     if rows.cut:
-        notes.append(f"the last line of {path.name} has no ending, as if cut off, and was left out")
+        notes.append(cut_note(path))
     if frames_stated is not None and frames_stated.isdigit() and int(frames_stated) != len(rows.values):
         notes.append(f"the header of {path.name} states {frames_stated} frames, but there are {len(rows.values)} rows")
     return tuple(notes)
