@@ -6,11 +6,12 @@ from support import wandering_trajectory
 
 from gtcal.errors import GtcalError
 from gtcal.readers.body_trajectory import from_both, from_markers
-from gtcal.readers.rigid_markers import MarkerShape, fit, in_body_frame, mean_shape, register
+from gtcal.readers.rigid_markers import MarkerShape, exchangeable, fit, in_body_frame, mean_shape, register
 
 LABELS = tuple("abcde")
 SHAPE = MarkerShape(LABELS, CUBE_M)
 POSES = wandering_trajectory("b", n=200).world_T_body
+STAMPS_NS = 10_000_000 * np.arange(len(POSES))
 SQUARE_M = 0.05 * np.array([[1.0, 1, 0], [-1, 1, 0], [-1, -1, 0], [1, -1, 0]])
 
 
@@ -98,7 +99,7 @@ def test_what_is_not_clear_is_left_out_and_counted() -> None:
     found = fit(SHAPE, at)
     assert np.flatnonzero(found.contradicting).tolist() == [30, 31]
     assert np.isnan(found.world_T_body[[30, 31]]).all()
-    solved = from_markers(at, LABELS, "file: b", "b")
+    solved = from_markers(at, STAMPS_NS, LABELS, "file: b", "b")
     assert "2 frames left out, their markers contradict each other" in solved.notes[0]
 
 
@@ -110,6 +111,27 @@ def test_a_label_on_the_ball_of_an_unseen_one_is_moved_there() -> None:
     assert found.swapped[40] or found.without_one[40] or found.contradicting[40]
     mm, _ = errors_mm_deg(found.world_T_body[found.ok], POSES[found.ok])
     assert mm.max() < 0.5
+
+
+def test_swapped_labels_of_a_symmetric_shape_are_noticed_by_how_it_turns() -> None:
+    """Two opposite corners of a square swapped: it turns over and fits as well as before."""
+    labels = tuple("abcd")
+    at = markers_of(POSES, SQUARE_M)
+    true = from_markers(at, STAMPS_NS, labels, "file: b", "b")
+    rows = [20, 21, 22, 90]
+    at[np.ix_(rows, (0, 2))] = at[np.ix_(rows, (2, 0))]
+    found = fit(MarkerShape(labels, SQUARE_M), at)
+    assert found.ok.all()
+    assert exchangeable(MarkerShape(labels, SQUARE_M), found.limit_m) == ("a", "c")
+    assert exchangeable(SHAPE, found.limit_m) is None
+    solved = from_markers(at, STAMPS_NS, labels, "file: b", "b")
+    assert np.flatnonzero(np.isnan(solved.world_T_body[:, 0, 0])).tolist() == rows
+    assert "4 frames left out, turned over by swapped labels" in solved.notes[0]
+    others = np.delete(np.arange(len(POSES)), rows)
+    np.testing.assert_allclose(solved.world_T_body[others], true.world_T_body[others], atol=1e-9)
+    at[:80, [0, 2]] = at[:80, [2, 0]]
+    with pytest.raises(GtcalError, match=r"the body turns over, as at 0\.\d+ s; .* 'a' and 'c' get swapped"):
+        from_markers(at, STAMPS_NS, labels, "file: b", "b")
 
 
 def test_the_mean_shape_is_the_shape_in_spite_of_gaps_swaps_and_noise() -> None:

@@ -12,7 +12,16 @@ from gtcal.camera import BoolArray, FloatArray
 from gtcal.errors import GtcalError
 from gtcal.readers.mocap_take import METRES_PER_UNIT, BodyColumns, MocapTake, frame_stamps_ns, rotations
 from gtcal.readers.poses import PoseConventions, check_distance, check_rate, farthest_row
-from gtcal.readers.rigid_markers import MarkerFit, MarkerShape, fit, in_body_frame, mean_shape, register
+from gtcal.readers.rigid_markers import (
+    MarkerFit,
+    MarkerShape,
+    exchangeable,
+    fit,
+    in_body_frame,
+    mean_shape,
+    register,
+    turned_over,
+)
 from gtcal.readers.selection import BodySelection, refuse_unused, shifted
 from gtcal.recordings.detections import IntArray
 from gtcal.recordings.trajectory import Trajectory
@@ -51,7 +60,7 @@ def trajectory_of(
     markers_m = scale * np.stack([take.markers[label] for label in labels], axis=1) if labels else None
     if name is None:
         assert markers_m is not None  # _chosen's own check
-        solved = from_markers(markers_m, labels, f"{take.path}: {body}", body)
+        solved = from_markers(markers_m, stamps_ns, labels, f"{take.path}: {body}", body)
     else:
         poses = poses_of(take, body, name, selection, scale)
         solved = (
@@ -102,14 +111,24 @@ def poses_of(take: MocapTake, body: str, name: str, selection: BodySelection, sc
     return poses
 
 
-def from_markers(markers_m: FloatArray, labels: tuple[str, ...], what: str, body: str) -> Solved:
-    """A body that is given by its markers only, markers_m (N, n, 3); its frame is ``in_body_frame``'s."""
-    points_m = in_body_frame(mean_shape(markers_m, labels, what), labels, what)
-    found = fit(MarkerShape(labels, points_m), markers_m)
+def from_markers(markers_m: FloatArray, stamps_ns: IntArray, labels: tuple[str, ...], what: str, body: str) -> Solved:
+    """A body that is given by its markers only, markers_m (N, n, 3); its frame is ``in_body_frame``'s.
+
+    Raises GtcalError where they are not those of one rigid body, or give no pose."""
+    shape = MarkerShape(labels, in_body_frame(mean_shape(markers_m, labels, what), labels, what))
+    found = fit(shape, markers_m)
     if not found.ok.any():
         raise GtcalError(f"{what}: the markers {', '.join(labels)} give no pose in any frame")
-    head = f"{body}: solved from {len(labels)} markers, residual {1000 * found.median_rms_m:.3g} mm rms (median)"
-    return Solved(found.world_T_body, (head + _what_was_mended(found),))
+    pair = exchangeable(shape, found.limit_m)
+    over = (
+        np.zeros(len(markers_m), dtype=np.bool_)
+        if pair is None
+        else turned_over(found.world_T_body, stamps_ns, pair, what)
+    )
+    note = f"{body}: solved from {len(labels)} markers, residual {1000 * found.median_rms_m:.3g} mm rms (median)"
+    note += _what_was_mended(found)
+    note += f"; {_frames(over)} left out, turned over by swapped labels" if over.any() else ""
+    return Solved(np.where(over[:, None, None], np.nan, found.world_T_body), (note,))
 
 
 def from_both(poses: FloatArray, markers_m: FloatArray, labels: tuple[str, ...], what: str, body: str) -> Solved:
@@ -234,13 +253,13 @@ def _chosen(take: MocapTake, body: str, selection: BodySelection) -> tuple[str |
     if name is not None and name not in take.bodies:
         of_prefix = take.markers_of(name)
         if labels is not None or not of_prefix:
-            raise GtcalError(f"{take.path}: {body}.name: the file holds no body {name!r}; {_holds(take)}")
+            raise GtcalError(f"{take.path}: {body}.name: the file holds no body {name!r}; {_holds(take, body)}")
         _check_labels(take, body, of_prefix)
         return None, of_prefix
     if name is None and labels is None:
         if len(take.bodies) != 1:
             field = "name" if take.bodies else "markers"
-            raise GtcalError(f"{take.path}: say which one is {body}, in {body}.{field}; {_holds(take)}")
+            raise GtcalError(f"{take.path}: say which one is {body}, in {body}.{field}; {_holds(take, body)}")
         name = next(iter(take.bodies))
     if name is None:
         assert labels is not None
@@ -251,23 +270,21 @@ def _chosen(take: MocapTake, body: str, selection: BodySelection) -> tuple[str |
 def _check_labels(take: MocapTake, body: str, labels: tuple[str, ...]) -> None:
     for label in labels:
         if label not in take.markers:
-            raise GtcalError(f"{take.path}: {body}.markers: the file holds no marker {label!r}; {_holds(take)}")
+            raise GtcalError(f"{take.path}: {body}.markers: the file holds no marker {label!r}; {_holds(take, body)}")
     if len(set(labels)) < len(labels):
         raise GtcalError(f"{take.path}: {body}.markers: a label stands twice: {', '.join(labels)}")
     if len(labels) < 3:
         raise GtcalError(f"{take.path}: {body}.markers: {len(labels)} given; a body needs three or more")
 
 
-def _holds(take: MocapTake) -> str:
+def _holds(take: MocapTake, body: str) -> str:
     """What there is to choose from."""
     if take.bodies:
         return f"it holds {listed('bodies', list(take.bodies))}"
     if not take.markers:
         return "it holds no body and no markers"
-    prefixes = listed("names before the colon", list(take.prefixes))
-    return f"it holds no body, only {listed('markers', list(take.markers))}" + (
-        f" ({prefixes}, for {'name'})" if take.prefixes else ""
-    )
+    by_prefix = f"; {body}.name: {' or '.join(take.prefixes)} takes all of one" if take.prefixes else ""
+    return f"it holds no body, only {listed('markers', list(take.markers))}{by_prefix}"
 
 
 def listed(what: str, names: list[str]) -> str:

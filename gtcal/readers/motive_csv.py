@@ -127,9 +127,7 @@ def _columns(export: TextExport, lines: list[Line], separator: str) -> _Columns:
     above = {}
     for line in lines[1 : lines.index(axes_line)]:
         fields = line.fields(separator)
-        if line.blank and not any(fields):
-            if len(fields) > 2:
-                raise export.error(line.number, "the line is blank; expected names of columns")
+        if line.blank:  # Excel fills it with separators
             continue
         if len(fields) != len(axes):
             raise export.error(

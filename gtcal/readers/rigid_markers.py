@@ -32,6 +32,9 @@ _LEAST_RIGID_RMS_M = 5e-3
 _SHAPE_FRAMES = 2000
 _SHAPE_ROUNDS = 6
 _BITS = 30
+# A thrown hand tool turns by some 2000 degrees a second, nothing that is held does.
+_LEAST_JUMP_DEG, _FASTEST_TURN_DEG_PER_S = 45.0, 3000.0
+_MOST_TURNED_OVER = 0.2
 # A marker this near to the centroid, as a share of the body's size, gives no axis.
 _TOO_CENTRAL = 0.05
 
@@ -355,6 +358,47 @@ def fit(shape: MarkerShape, markers_m: FloatArray) -> MarkerFit:
     poses[bad], rms_m[bad] = mended, mended_rms_m
     swapped, without_one, contradicting = (_mask(len(poses), bad[how == which]) for which in ("swap", "drop", ""))
     return MarkerFit(poses, rms_m, limit_m, swapped, without_one, contradicting, too_few)
+
+
+def exchangeable(shape: MarkerShape, limit_m: float) -> tuple[str, str] | None:
+    """Two labels that can be swapped without a residual that tells, as the opposite corners of a square, or None."""
+    for i, j in combinations(range(len(shape.labels)), 2):
+        swapped = shape.points_m.copy()
+        swapped[[i, j]] = swapped[[j, i]]
+        if register(shape.points_m, swapped[None])[1][0] <= limit_m:
+            return shape.labels[i], shape.labels[j]
+    return None
+
+
+def turned_over(world_T_body: FloatArray, stamps_ns: IntArray, pair: tuple[str, str], what: str) -> BoolArray:
+    """(N,) frames in which a body with these two exchangeable labels turned faster than anything does, and will turn
+    back: they were swapped. The frames on the rarer side of such turns are the wrong ones.
+
+    Raises GtcalError where neither side is rare, or a turn remains."""
+    rows = np.flatnonzero(np.isfinite(world_T_body[:, 0, 0]))
+    sides = np.cumsum(np.concatenate([[False], _jumps(world_T_body[rows], stamps_ns[rows])])) % 2
+    rarer = int(2 * sides.sum() <= len(sides))
+    wrong = rows[sides == rarer]
+    right = rows[sides != rarer]
+    jumps = _jumps(world_T_body[right], stamps_ns[right])
+    if len(wrong) > _MOST_TURNED_OVER * len(rows) or jumps.any():
+        at_s = 1e-9 * stamps_ns[(right[1:][jumps] if jumps.any() else wrong)[0]]
+        raise GtcalError(
+            f"{what}: from one frame to the next the body turns over, as at {at_s:.3f} s; the markers are symmetric, "
+            f"so that labels like {pair[0]!r} and {pair[1]!r} get swapped: correct them in the mocap software"
+        )
+    return _mask(len(world_T_body), wrong)
+
+
+def _jumps(world_T_body: FloatArray, stamps_ns: IntArray) -> BoolArray:
+    """(N - 1,) whether the body turns faster than anything does on the way to the next frame."""
+    if len(world_T_body) < 2:
+        return np.zeros(0, dtype=np.bool_)
+    step = np.swapaxes(world_T_body[:-1, :3, :3], 1, 2) @ world_T_body[1:, :3, :3]
+    cosine = (np.trace(step, axis1=1, axis2=2) - 1.0) / 2.0
+    turn_deg = np.rad2deg(np.arccos(np.clip(cosine, -1.0, 1.0)))
+    per_s = turn_deg / (1e-9 * np.diff(stamps_ns))
+    return np.asarray((turn_deg > _LEAST_JUMP_DEG) & (per_s > _FASTEST_TURN_DEG_PER_S))
 
 
 def _mask(n: int, rows: IntArray) -> BoolArray:
