@@ -82,6 +82,19 @@ def test_times_that_were_rounded_are_the_frames_by_the_rate(tmp_path: Path) -> N
     assert stamps_ns[:4].tolist() == [0, 2_777_778, 5_555_556, 8_333_333]
 
 
+def test_a_part_of_a_take_keeps_its_times(tmp_path: Path) -> None:
+    """Frames that are numbered anew, times that are not: rounded to a millisecond, but exact by the rate."""
+    path = write_motive(tmp_path / "take.csv", {"a": A}, rate_hz=360.0, ending="\n")
+    lines = path.read_text().split("\n")
+    for i in range(60):
+        frame, _, rest = lines[7 + i].split(",", 2)
+        lines[7 + i] = f"{frame},{(i + 1000) / 360:.3f},{rest}"
+    path.write_text("\n".join(lines))
+    stamps_ns = read_motive_csv(path, "platform", SAID_BY_THE_FILE).stamps_ns
+    np.testing.assert_allclose(stamps_ns, np.arange(1000, 1060) / 360 * 1e9, atol=5e5)
+    np.testing.assert_allclose(np.diff(stamps_ns), 1e9 / 360, atol=1)
+
+
 def test_the_real_rigid_body_export(shared: Callable[[str], Path]) -> None:
     path = shared(f"{EXPORTS}/motive_rigid_body_120hz_m.csv")
     summary = inspect_mocap(path)
@@ -263,6 +276,24 @@ def test_poses_as_good_as_the_markers_stay(tmp_path: Path) -> None:
     trajectory = read_motive_csv(path, "platform", SAID_BY_THE_FILE)
     np.testing.assert_allclose(trajectory.world_T_body, A, atol=1e-12)
     assert trajectory.notes == ()
+
+
+def test_markers_that_are_of_no_use_leave_the_poses_alone(tmp_path: Path) -> None:
+    """One that was never seen; and some that move against each other."""
+    at = measured(A, 1e-5)
+    at[LABELS[2]] = np.full((len(A), 3), np.nan)
+    path = write_motive(tmp_path / "take.csv", {"a": blank(A, 5)}, markers=at)
+    trajectory = read_motive_csv(path, "platform", SAID_BY_THE_FILE)
+    assert trajectory.n_samples == len(A)
+    assert "1 frame without a pose in the file solved from the measured markers" in trajectory.notes[0]
+    loose = {
+        label: points + np.random.default_rng(i).normal(0, 0.02, (len(A), 3))
+        for i, (label, points) in enumerate(measured(A).items())
+    }
+    path = write_motive(tmp_path / "loose.csv", {"a": blank(A, 5)}, markers=loose)
+    trajectory = read_motive_csv(path, "platform", SAID_BY_THE_FILE)
+    np.testing.assert_allclose(trajectory.world_T_body, np.delete(A, 5, axis=0), atol=1e-12)
+    assert "platform: the measured markers are not used: the markers a:Marker1, " in trajectory.notes[0]
 
 
 def test_a_body_can_be_solved_from_labels_alone(tmp_path: Path) -> None:

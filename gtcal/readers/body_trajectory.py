@@ -138,9 +138,16 @@ def from_both(poses: FloatArray, markers_m: FloatArray, labels: tuple[str, ...],
 
     Raises GtcalError where the poses don't carry the markers along."""
     in_file = np.isfinite(poses).all(axis=(1, 2))
+    ever = np.asarray(np.isfinite(markers_m).all(axis=2).any(axis=0))
+    labels = tuple(label for i, label in enumerate(labels) if ever[i])
+    markers_m = markers_m[:, ever]
     if len(labels) < 3 or not in_file.any():
         return Solved(poses, ())
-    shape = _shape_in_file_frame(poses, markers_m, labels, what)
+    try:
+        own_m = mean_shape(markers_m, labels, f"{what}: the measured markers are not used")
+    except GtcalError as error:  # the file's poses don't need them
+        return Solved(poses, (f"{body}: {str(error).removeprefix(f'{what}: ')}",))
+    shape = _in_file_frame(own_m, poses, markers_m, labels, what)
     if shape is None:
         return Solved(poses, ())
     found = fit(shape, markers_m)
@@ -163,15 +170,12 @@ def from_both(poses: FloatArray, markers_m: FloatArray, labels: tuple[str, ...],
     return Solved(np.where(filled[:, None, None], found.world_T_body, poses), (note,))
 
 
-def _shape_in_file_frame(
-    poses: FloatArray, markers_m: FloatArray, labels: tuple[str, ...], what: str
+def _in_file_frame(
+    own_m: FloatArray, poses: FloatArray, markers_m: FloatArray, labels: tuple[str, ...], what: str
 ) -> MarkerShape | None:
-    """The markers' own mean shape, placed where the file's poses put it on the whole. None where they were not seen
-    together."""
+    """The markers' mean shape own_m (n, 3), placed where the file's poses put it on the whole. None where poses and
+    markers were never there together."""
     rows = _spread(np.flatnonzero(np.isfinite(poses).all(axis=(1, 2)) & np.isfinite(markers_m).any(axis=(1, 2))))
-    if not len(rows) or not np.isfinite(markers_m).all(axis=2).any(axis=0).all():
-        return None
-    own_m = mean_shape(markers_m, labels, what)
     found = fit(MarkerShape(labels, own_m), markers_m[rows])
     if not found.ok.any():
         return None

@@ -146,6 +146,10 @@ def settled_stamps(
         expected_s = (frames - zero) / rate_hz
         if np.all(np.abs(times_s - expected_s) <= tolerance_s):
             return frame_stamps_ns(frames - zero, rate_hz)
+    offsets_s = times_s - frames / rate_hz
+    if float(np.ptp(offsets_s)) <= 2 * tolerance_s:  # exported from the middle of a take
+        middle_s = float(offsets_s.min() + offsets_s.max()) / 2
+        return frame_stamps_ns(frames, rate_hz) + round(middle_s * 1e9)
     if len(frames) > 1:
         step_s = float((times_s[-1] - times_s[0]) / (frames[-1] - frames[0]))
         slack_s = 2 * tolerance_s / float(frames[-1] - frames[0])
