@@ -151,6 +151,27 @@ def test_a_damaged_c3d_header_is_refused_or_changes_nothing(tmp_path: Path) -> N
     assert outcomes == {"refused", "read"}
 
 
+def test_damaged_c3d_parameters_are_refused_or_change_nothing(tmp_path: Path) -> None:
+    """Random bytes of them: the library, given such a file, would end the process."""
+    path = write_c3d(tmp_path / "t.c3d", markers())
+    data, truth = path.read_bytes(), read_c3d(path, "platform", NOTHING, BY_LABEL)
+    random = np.random.default_rng(0)
+    outcomes = []
+    for _ in range(300):
+        damaged = bytearray(data)
+        damaged[int(random.integers(512, 1200))] = int(random.integers(256))
+        (tmp_path / "damaged.c3d").write_bytes(bytes(damaged))
+        try:
+            found = read_c3d(tmp_path / "damaged.c3d", "platform", NOTHING, BY_LABEL)
+        except GtcalError:
+            outcomes.append("refused")
+            continue
+        outcomes.append("read")
+        np.testing.assert_array_equal(found.stamps_ns, truth.stamps_ns)
+        np.testing.assert_array_equal(found.world_T_body, truth.world_T_body)
+    assert set(outcomes) == {"refused", "read"}
+
+
 def test_c3d_units_are_stated_or_asked_for(tmp_path: Path) -> None:
     path = write_c3d(tmp_path / "t.c3d", markers(), unit="")
     with pytest.raises(GtcalError, match=r"add platform\.length_unit to the manifest"):

@@ -14,6 +14,7 @@ import numpy as np
 
 from gtcal.errors import GtcalError
 from gtcal.readers.body_trajectory import trajectory_of
+from gtcal.readers.c3d_parameters import DEC, INTEL, MIPS, Parameter, read_parameters
 from gtcal.readers.mocap_take import MocapTake, frame_stamps_ns, metres_per_unit, stated_rate_hz
 from gtcal.readers.poses import PoseConventions
 from gtcal.readers.selection import WHOLE_FILE, BodySelection
@@ -22,7 +23,6 @@ from gtcal.recordings.trajectory import Trajectory
 FORMAT = "c3d"
 _BLOCK = 512
 _KEY = 0x50
-_INTEL, _DEC, _MIPS = 84, 85, 86
 _LAST_FRAME_OF_HEADER = 65535
 
 
@@ -81,23 +81,44 @@ def _check_length(path: Path) -> None:
             parameters = file.read(4)
     except OSError as error:
         raise GtcalError(f"{path}: can't be read: {error.strerror}") from error
-    if len(parameters) < 4 or parameters[3] not in (_INTEL, _DEC, _MIPS):
+    if len(parameters) < 4 or parameters[3] not in (INTEL, DEC, MIPS):
         raise GtcalError(f"{path}: is a damaged C3D file: its parameters don't say how numbers are written")
     processor, n_blocks = parameters[3], parameters[2]
     if size < start + n_blocks * _BLOCK:
         raise GtcalError(f"{path}: the C3D file is cut off within its parameters")
-    _check_data_length(path, head, size, processor)
+    with path.open("rb") as file:
+        file.seek(start)
+        section = file.read(n_blocks * _BLOCK)
+    _check_header(path, head, read_parameters(path, section), size, processor)
 
 
-def _check_data_length(path: Path, head: bytes, size: int, processor: int) -> None:
-    order = ">" if processor == _MIPS else "<"
+def _check_header(path: Path, head: bytes, parameters: dict[str, Parameter], size: int, processor: int) -> None:
+    """Raises GtcalError where the header and the parameters, which state most things twice, contradict each other, or
+    the file is shorter than they say."""
+    order = ">" if processor == MIPS else "<"
     n_points, n_analog, first, last = struct.unpack(f"{order}4H", head[2:10])
-    (data_block,) = struct.unpack(f"{order}H", head[16:18])
+    data_block, per_frame = struct.unpack(f"{order}2H", head[16:20])
     if last < first or data_block < 2:
         raise GtcalError(f"{path}: is a damaged C3D file: frames {first} to {last}, data from block {data_block}")
-    is_float = head[{_INTEL: 15, _DEC: 13, _MIPS: 12}[processor]] & 0x80 != 0
     n_frames = last - first + 1
-    needed = n_frames * (4 * n_points + n_analog) * (4 if is_float else 2)
+    scale, rate_hz = (Parameter(4, (), head[at : at + 4]).numbers(processor)[0] for at in (12, 20))
+    stated = {
+        "POINT:USED": n_points,
+        "POINT:DATA_START": data_block,
+        "POINT:SCALE": scale,
+        "ANALOG:USED": n_analog / per_frame if per_frame else 0.0,
+    }
+    if rate_hz:  # some writers leave the header's at 0
+        stated["POINT:RATE"] = rate_hz
+    if last < _LAST_FRAME_OF_HEADER:
+        stated["POINT:FRAMES"] = n_frames
+    for name, in_header in stated.items():
+        numbers = parameters[name].numbers(processor)[:1] if name in parameters else []
+        if numbers and numbers[0] != in_header:
+            raise GtcalError(
+                f"{path}: is a damaged C3D file: {name} is {numbers[0]:g}, but the header says {in_header:g}"
+            )
+    needed = n_frames * (4 * n_points + n_analog) * (4 if scale < 0 else 2)
     if size < (data_block - 1) * _BLOCK + needed and last < _LAST_FRAME_OF_HEADER:
         raise GtcalError(
             f"{path}: the C3D file is cut off: {n_frames} frames of {n_points} markers need {needed} bytes, there are "

@@ -207,6 +207,7 @@ def triple(values: FloatArray, columns: Sequence[int]) -> FloatArray:
     return values[:, list(columns)]
 
 
+@np.errstate(over="ignore", invalid="ignore")  # of damaged numbers, which are then told
 def rotations(kind: RotationKind, numbers: FloatArray, degrees: bool, where: str) -> FloatArray:
     """(N, 3, 3) world_R_body of numbers without NaN, in the notation ``kind``.
 

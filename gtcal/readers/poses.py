@@ -143,7 +143,8 @@ def check_rate(path: Path, stamps_ns: IntArray, body: str, time_unit: TimeUnit) 
 
 def check_distance(path: Path, positions_m: FloatArray, body: str, unit: LengthUnit) -> None:
     """Raises GtcalError where the positions, read in ``unit``, are mostly out of this world."""
-    typical_m = float(np.median(np.linalg.norm(positions_m, axis=1)))
+    with np.errstate(over="ignore"):  # of damaged numbers, which are then told
+        typical_m = float(np.median(np.linalg.norm(positions_m, axis=1)))
     if typical_m > _FARTHEST_MEDIAN_M:
         hint = "are they millimetres? then set" if unit == "m" else "check"
         value = f"{body}.length_unit: mm" if unit == "m" else f"{body}.length_unit"
@@ -155,5 +156,6 @@ def check_distance(path: Path, positions_m: FloatArray, body: str, unit: LengthU
 
 def farthest_row(positions_m: FloatArray) -> int | None:
     """The first row whose position no mocap reaches."""
-    far = np.flatnonzero(np.linalg.norm(positions_m, axis=1) > _FARTHEST_M)
+    with np.errstate(over="ignore"):
+        far = np.flatnonzero(np.linalg.norm(positions_m, axis=1) > _FARTHEST_M)
     return int(far[0]) if len(far) else None
