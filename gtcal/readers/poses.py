@@ -115,7 +115,8 @@ def trajectory_from_rows(table: TextTable, body: str, rows: npt.NDArray, convent
 
 
 def _unit_quaternions(table: TextTable, quats: FloatArray) -> FloatArray:
-    norms = np.linalg.norm(quats, axis=1)
+    with np.errstate(over="ignore"):  # of damaged numbers, which are then told
+        norms = np.linalg.norm(quats, axis=1)
     bad = np.flatnonzero(np.abs(norms - 1.0) > _NORM_TOLERANCE)
     if len(bad):
         row = int(bad[0])
