@@ -147,8 +147,7 @@ def calibrate(
             _write_report(report, calibration, loaded, progress)
     write_calibration(output, calibration)
     if not quiet:
-        notes = [note for images in loaded.images.values() for note in images.notes]
-        print_calibration(calibration, notes=notes, verbose=verbose)
+        print_calibration(calibration, notes=loaded.notes, verbose=verbose)
         print(f"written: {output}" + (f", {report}" if report is not None else ""))
 
 

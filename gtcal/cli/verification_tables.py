@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from rich import box
 from rich.console import Console, Group, RenderableType
 from rich.table import Table
@@ -18,7 +20,7 @@ _WORDS = {
 }
 
 
-def print_verification(verification: Verification, *, verbose: bool = False) -> None:
+def print_verification(verification: Verification, *, notes: Sequence[str] = (), verbose: bool = False) -> None:
     """Print the verdict, a table per camera and the findings; ``verbose`` adds what was left out and why."""
     parts: list[RenderableType] = [Text(_WORDS[verification.verdict], style=_STYLES[verification.verdict])]
     parts += [Text(f"  {reason}") for reason in verification.reasons]
@@ -28,6 +30,7 @@ def print_verification(verification: Verification, *, verbose: bool = False) -> 
     if verbose:
         parts += [_bias_line(camera) for camera in verification.cameras.values()]
         parts += [Text(f"left out of {left.camera}: {left.count}: {left.reason}") for left in verification.left_out]
+    parts += [Text(f"note: {note}", style="cyan") for note in notes]
     parts += [Text(f"warning: {warning}", style="yellow") for warning in verification.warnings]
     Console().print(Group(*parts))
 

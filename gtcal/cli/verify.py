@@ -92,7 +92,7 @@ def verify(
     if sightings is not None:
         write_sightings(sightings, found)
     if not quiet:
-        print_verification(found, verbose=verbose)
+        print_verification(found, notes=loaded.notes, verbose=verbose)
         print("written: " + ", ".join(str(path) for path in (output, report, sightings) if path is not None))
     return found.verdict.exit_code
 

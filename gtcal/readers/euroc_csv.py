@@ -22,6 +22,7 @@ from gtcal.readers.poses import (
     settle,
     trajectory_from_rows,
 )
+from gtcal.readers.selection import WHOLE_FILE, BodySelection, refuse_unused, shifted
 from gtcal.recordings.text_table import Kind, TextTable, open_table
 from gtcal.recordings.trajectory import QuaternionOrder, Trajectory, quaternions_from_poses
 
@@ -34,15 +35,25 @@ _HEADER = "#timestamp [ns], p_RS_R_x [m], p_RS_R_y [m], p_RS_R_z [m], q_RS_w [],
 _POSITIONAL = ("stamp", "x", "y", "z", "q0", "q1", "q2", "q3")
 
 
-def read_euroc_csv(path: Path, body: str, declared: PoseConventions) -> Trajectory:
+def read_euroc_csv(
+    path: Path, body: str, declared: PoseConventions, selection: BodySelection = WHOLE_FILE
+) -> Trajectory:
     """Read an EuRoC/ASL CSV as the trajectory of ``body``. ``declared`` is what the manifest states.
 
     Raises GtcalError naming file and line (or the field to state) for anything that can't be read for sure."""
+    refuse_unused(path, body, selection, {"stamp_offset_ns"}, "euroc_csv")
+    table, columns, stated = open_euroc_csv(path)
+    conventions = settle(path, body, stated, declared)
+    trajectory = trajectory_from_rows(table, body, table.read(columns), conventions)
+    return shifted(trajectory, selection.stamp_offset_ns)
+
+
+def open_euroc_csv(path: Path) -> tuple[TextTable, list[tuple[str, Kind]], PoseConventions]:
+    """The file's table, its columns, and what the header states. Raises GtcalError where the columns are others."""
     table = open_table(path, ",")
     header = table.header()
     columns = _named_columns(table, header) if header else _positional_columns(table)
-    conventions = settle(path, body, _stated(path, header), declared)
-    return trajectory_from_rows(table, body, table.read(columns), conventions)
+    return table, columns, _stated(path, header)
 
 
 def write_euroc_csv(path: Path, trajectory: Trajectory) -> None:

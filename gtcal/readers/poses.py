@@ -12,6 +12,7 @@ import numpy.typing as npt
 from factors.rigid import inverse
 from gtcal.camera import FloatArray
 from gtcal.errors import GtcalError
+from gtcal.readers.text_export import cut_note
 from gtcal.recordings.detections import IntArray
 from gtcal.recordings.text_table import TextTable
 from gtcal.recordings.trajectory import QuaternionOrder, Trajectory, poses_from_quaternions
@@ -93,21 +94,29 @@ def trajectory_from_rows(table: TextTable, body: str, rows: npt.NDArray, convent
 
     Raises GtcalError with file and line where a time stamp repeats or goes backward, a quaternion is not of unit
     length, or a position or the sampling rate is out of this world."""
+    notes: tuple[str, ...] = ()
+    if len(rows) > 1 and table.last_line_has_no_end():
+        rows = rows[:-1]
+        notes = (f"{body}: {cut_note(table.path)}",)
     if not len(rows):
         raise GtcalError(f"{table.path}: there are no poses in the file")
     stamps_ns = table.stamps_ns(rows["stamp"], conventions.time_unit)
     table.check_strictly_increasing(stamps_ns)
-    _check_rate(table.path, stamps_ns, body, conventions.time_unit)
+    check_rate(table.path, stamps_ns, body, conventions.time_unit)
     quats = _unit_quaternions(table, np.stack([rows[f"q{i}"] for i in range(4)], axis=1))
     positions_m = np.stack([rows[axis] for axis in "xyz"], axis=1) * _LENGTHS_M[conventions.length_unit]
     poses = poses_from_quaternions(quats, conventions.quaternion, positions_m)
     world_T_body = poses if conventions.pose == "world_T_body" else inverse(poses)
-    _check_distance(table, world_T_body[:, :3, 3], body, conventions)
-    return Trajectory(body, stamps_ns, world_T_body)
+    check_distance(table.path, world_T_body[:, :3, 3], body, conventions.length_unit)
+    if (row := farthest_row(world_T_body[:, :3, 3])) is not None:
+        distance_m = float(np.linalg.norm(world_T_body[row, :3, 3]))
+        raise table.error(row, f"the position is {distance_m:.6g} m from the mocap origin")
+    return Trajectory(body, stamps_ns, world_T_body, notes)
 
 
 def _unit_quaternions(table: TextTable, quats: FloatArray) -> FloatArray:
-    norms = np.linalg.norm(quats, axis=1)
+    with np.errstate(over="ignore"):  # of damaged numbers, which are then told
+        norms = np.linalg.norm(quats, axis=1)
     bad = np.flatnonzero(np.abs(norms - 1.0) > _NORM_TOLERANCE)
     if len(bad):
         row = int(bad[0])
@@ -121,7 +130,8 @@ def _unit_quaternions(table: TextTable, quats: FloatArray) -> FloatArray:
     return quats / norms[:, None]
 
 
-def _check_rate(path: Path, stamps_ns: IntArray, body: str, time_unit: TimeUnit) -> None:
+def check_rate(path: Path, stamps_ns: IntArray, body: str, time_unit: TimeUnit) -> None:
+    """Raises GtcalError where the stamps mean a rate that no mocap has."""
     if len(stamps_ns) < 2:
         return
     rate_hz = 1e9 / float(np.median(np.diff(stamps_ns)))
@@ -132,18 +142,21 @@ def _check_rate(path: Path, stamps_ns: IntArray, body: str, time_unit: TimeUnit)
         )
 
 
-def _check_distance(table: TextTable, positions_m: FloatArray, body: str, conventions: SettledConventions) -> None:
-    distance_m = np.linalg.norm(positions_m, axis=1)
-    unit = conventions.length_unit
-    typical_m = float(np.median(distance_m))
+def check_distance(path: Path, positions_m: FloatArray, body: str, unit: LengthUnit) -> None:
+    """Raises GtcalError where the positions, read in ``unit``, are mostly out of this world."""
+    with np.errstate(over="ignore"):  # of damaged numbers, which are then told
+        typical_m = float(np.median(np.linalg.norm(positions_m, axis=1)))
     if typical_m > _FARTHEST_MEDIAN_M:
         hint = "are they millimetres? then set" if unit == "m" else "check"
         value = f"{body}.length_unit: mm" if unit == "m" else f"{body}.length_unit"
         raise GtcalError(
-            f"{table.path}: as {unit}, the positions are {typical_m:.6g} m from the mocap origin (median), "
+            f"{path}: as {unit}, the positions are {typical_m:.6g} m from the mocap origin (median), "
             f"more than {_FARTHEST_MEDIAN_M:g} m; {hint} {value}"
         )
-    far = np.flatnonzero(distance_m > _FARTHEST_M)
-    if len(far):
-        row = int(far[0])
-        raise table.error(row, f"the position is {distance_m[row]:.6g} m from the mocap origin")
+
+
+def farthest_row(positions_m: FloatArray) -> int | None:
+    """The first row whose position no mocap reaches."""
+    with np.errstate(over="ignore"):
+        far = np.flatnonzero(np.linalg.norm(positions_m, axis=1) > _FARTHEST_M)
+    return int(far[0]) if len(far) else None

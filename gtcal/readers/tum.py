@@ -14,6 +14,7 @@ import numpy as np
 from gtcal.errors import GtcalError
 from gtcal.files import write_aside
 from gtcal.readers.poses import PoseConventions, settle, trajectory_from_rows
+from gtcal.readers.selection import WHOLE_FILE, BodySelection, refuse_unused, shifted
 from gtcal.recordings.text_table import Kind, TextTable, open_table
 from gtcal.recordings.trajectory import QuaternionOrder, Trajectory, quaternions_from_poses
 
@@ -28,19 +29,28 @@ _QUATERNIONS: dict[tuple[str, ...], QuaternionOrder] = {
 }
 
 
-def read_tum(path: Path, body: str, declared: PoseConventions) -> Trajectory:
+def read_tum(path: Path, body: str, declared: PoseConventions, selection: BodySelection = WHOLE_FILE) -> Trajectory:
     """Read a TUM text file as the trajectory of ``body``. ``declared`` is what the manifest states.
 
     Raises GtcalError naming file and line for anything that can't be read for sure."""
+    refuse_unused(path, body, selection, {"stamp_offset_ns"}, "tum")
+    table, columns, _ = open_tum(path)
+    conventions = settle(path, body, _named_order(table), _with_format(_named_order(table), declared))
+    trajectory = trajectory_from_rows(table, body, table.read(columns), conventions)
+    return shifted(trajectory, selection.stamp_offset_ns)
+
+
+def open_tum(path: Path) -> tuple[TextTable, list[tuple[str, Kind]], PoseConventions]:
+    """The file's table, its columns, and what the format and the file's comment state.
+
+    Raises GtcalError where the columns are others."""
     table = open_table(path, None)
     if table.n_columns not in (0, len(_COLUMNS)):
         raise GtcalError(
             f"{path}:{table.skip_lines + 1}: fields separated by white space in the row: {table.n_columns}, "
             "expected 8: timestamp tx ty tz qx qy qz qw"
         )
-    in_file = PoseConventions(quaternion=_stated_order(table))
-    conventions = settle(path, body, in_file, _with_format(in_file, declared))
-    return trajectory_from_rows(table, body, table.read(_COLUMNS), conventions)
+    return table, _COLUMNS, _with_format(_named_order(table), PoseConventions())
 
 
 def write_tum(path: Path, trajectory: Trajectory) -> None:
@@ -52,6 +62,10 @@ def write_tum(path: Path, trajectory: Trajectory) -> None:
         for stamp_ns, row in zip(trajectory.stamps_ns.tolist(), numbers, strict=True):
             sign, (seconds, nanoseconds) = "-" * (stamp_ns < 0), divmod(abs(stamp_ns), 1_000_000_000)
             file.write(f"{sign}{seconds}.{nanoseconds:09d} {' '.join(map(repr, row))}\n")
+
+
+def _named_order(table: TextTable) -> PoseConventions:
+    return PoseConventions(quaternion=_stated_order(table))
 
 
 def _stated_order(table: TextTable) -> QuaternionOrder | None:

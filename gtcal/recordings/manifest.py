@@ -18,7 +18,8 @@ from gtcal.board import board_manifest_schema
 from gtcal.camera import StampedRow
 from gtcal.errors import GtcalError
 from gtcal.files import write_text
-from gtcal.readers import TRAJECTORY_READERS
+from gtcal.readers import TRAJECTORY_READERS, BodySelection
+from gtcal.readers.mocap_take import RotationKind
 from gtcal.readers.poses import LengthUnit, PoseConventions, PoseDirection, TimeUnit
 from gtcal.recordings.capture import Capture, check_bodies
 from gtcal.recordings.layouts import LAYOUTS, expanded, find_layout
@@ -140,10 +141,35 @@ class TrajectoryEntry(Entry):
     pose: PoseDirection | None = Field(
         default=None, description="Whether a row holds the body's pose in the world (the default), or its inverse."
     )
+    name: str | None = Field(
+        default=None,
+        description="The body, segment, prefix of labels, topic or frame in the file. Needed where it holds several.",
+    )
+    markers: list[str] | None = Field(
+        default=None,
+        min_length=3,
+        description="Labels of the body's markers, to solve it from: the origin is their centroid, x points to the "
+        "first one.",
+    )
+    rotation: RotationKind | None = Field(
+        default=None, description="How rotations are written. Needed for Vicon's segments."
+    )
+    stamp_offset_ns: int = Field(
+        default=0, description="Added to the file's time stamps, which in most exports count from the take's start."
+    )
+    rate_hz: float | None = Field(
+        default=None, gt=0, description="Frames a second. Needed where the file numbers frames and states no rate."
+    )
 
     @property
     def conventions(self) -> PoseConventions:
         return PoseConventions(self.quaternion, self.length_unit, self.time_unit, self.pose)
+
+    @property
+    def selection(self) -> BodySelection:
+        """Which body of the file, and when."""
+        markers = None if self.markers is None else tuple(self.markers)
+        return BodySelection(self.name, markers, self.rotation, self.stamp_offset_ns, self.rate_hz)
 
 
 class Manifest(Entry):

@@ -86,6 +86,11 @@ class Recording:
         """ref_T_body over time."""
         return RefMotion(self.capture, self.platform, self.board_body, self.max_gap_s)
 
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What was done to read it, one sentence each, for the user to see."""
+        return notes_of(self.images, self.motion.trajectories)
+
 
 def load_recording(path: Path | str) -> Recording:
     """Read the recording in the folder (or with the manifest file) ``path``. Images are listed, not searched for
@@ -205,7 +210,7 @@ class Loader:
     def trajectory(self, name: str, entry: TrajectoryEntry) -> Trajectory:
         path = self._existing(f"{name}.trajectory", entry.trajectory)
         self.used.append(path)
-        return TRAJECTORY_READERS[entry.format](path, name, entry.conventions)
+        return TRAJECTORY_READERS[entry.format](path, name, entry.conventions, entry.selection)
 
     def check_millimetres(self, bodies: dict[str, TrajectoryEntry], trajectories: dict[str, Trajectory]) -> None:
         """Metres declared as millimetres leave every body within millimetres of where it started."""
@@ -260,6 +265,13 @@ class Loader:
     def error(self, where: str, message: str) -> GtcalError:
         """An error about a field of the manifest."""
         return GtcalError(f"{self.manifest_path}: {where}: {message}")
+
+
+def notes_of(images: dict[str, ImageSequence], trajectories: dict[str, Trajectory]) -> tuple[str, ...]:
+    """What the readers of images and trajectories have to say; the same only once."""
+    notes = [note for sequence in images.values() for note in sequence.notes]
+    notes += [note for trajectory in trajectories.values() for note in trajectory.notes]
+    return tuple(dict.fromkeys(notes))
 
 
 def _other_image_size(cx: float, cy: float, width: int, height: int) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from decimal import Decimal
+from os import SEEK_END
 from pathlib import Path
 from typing import IO, Any, Literal
 
@@ -65,6 +66,13 @@ class TextTable:
             if kind == "number":
                 self._check_finite(name, rows[name])
         return rows
+
+    def last_line_has_no_end(self) -> bool:
+        """Whether the file ends within a line, as one that is cut off does: its last number may have lost digits."""
+        with self.path.open("rb") as file:
+            file.seek(0, SEEK_END)
+            file.seek(max(0, file.tell() - 1))
+            return file.read(1) not in (b"\n", b"\r", b"")
 
     def stamps_ns(self, texts: npt.NDArray[np.bytes_], time_unit: str) -> IntArray:
         """(N,) time stamps, given as a column of text in ``time_unit`` (s, ms, us, ns), as nanoseconds: exact

@@ -54,12 +54,14 @@ class Trajectory:
     body: what it is called in messages and files, as 'platform'.
     stamps_ns: (M,) int64, strictly increasing, mocap clock.
     world_T_body: (M, 4, 4) rigid transforms, metres.
+    notes: what was done to get it from its file, one sentence each, for the user to see.
     Raises GtcalError where shapes differ, there is no sample, a value is not finite, or stamps do not increase.
     """
 
     body: str
     stamps_ns: IntArray
     world_T_body: FloatArray
+    notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         n = len(self.stamps_ns)

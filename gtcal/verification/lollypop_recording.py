@@ -36,7 +36,7 @@ from gtcal.recordings.manifest import (
     validated,
     write_manifest,
 )
-from gtcal.recordings.recording import Loader, camera_entry, detections_name
+from gtcal.recordings.recording import Loader, camera_entry, detections_name, notes_of
 from gtcal.recordings.trajectory import Trajectory
 from gtcal.verification.lollypop import Lollypop, device_from_manifest, device_manifest_schema
 
@@ -115,6 +115,14 @@ class LollypopRecording:
     def motion(self) -> RefMotion:
         """ref_T_body over time; body is the device's."""
         return RefMotion(self.capture, self.platform, self.device_body, self.max_gap_s)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What was done to read it, one sentence each, for the user to see."""
+        trajectories = {"device_body": self.device_body} | (
+            {} if self.platform is None else {"platform": self.platform}
+        )
+        return notes_of(self.images, trajectories)
 
 
 def load_lollypop_recording(path: Path | str) -> LollypopRecording:
