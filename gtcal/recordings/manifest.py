@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import json
-import re
-from collections.abc import Hashable, Iterable
+from collections.abc import Iterable
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
@@ -15,6 +13,7 @@ from pydantic_core import ErrorDetails, PydanticCustomError
 
 from factors import CAMERA_MODELS
 from gtcal.board import board_manifest_schema
+from gtcal.documents import load_document
 from gtcal.errors import GtcalError
 from gtcal.files import write_text
 from gtcal.readers import TRAJECTORY_READERS
@@ -177,7 +176,7 @@ def load_fields(path: Path) -> dict[str, Any]:
     """The fields of a manifest file, unchecked.
 
     Raises GtcalError where it can't be read, is no YAML or JSON, or holds no fields."""
-    data = _load(path)
+    data = load_document(path)
     if not isinstance(data, dict):
         raise GtcalError(f"{path}: is no manifest; expected fields such as 'gtcal_recording: 1'")
     return data
@@ -216,69 +215,6 @@ def _bodies_schema(capture: Capture) -> dict[str, Any]:
         "if": {"properties": {"capture": {"const": capture.value}}},
         "then": {"required": list(capture.bodies), "properties": dict.fromkeys(forbidden, False)},
     }
-
-
-def _load(path: Path) -> Any:
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except OSError as error:
-        raise GtcalError(f"{path}: can't be read: {error.strerror}") from error
-    except UnicodeDecodeError:
-        raise GtcalError(f"{path}: is not UTF-8 text") from None
-    return _load_json(path, text) if path.suffix.lower() == ".json" else _load_yaml(path, text)
-
-
-def _load_json(path: Path, text: str) -> Any:
-    try:
-        return json.loads(text, object_pairs_hook=_without_duplicates)
-    except json.JSONDecodeError as error:
-        raise GtcalError(f"{path}:{error.lineno}: is not valid JSON: {error.msg}") from None
-    except ValueError as error:
-        raise GtcalError(f"{path}: {error}") from None
-
-
-def _without_duplicates(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    names = [name for name, _ in pairs]
-    for name in names:
-        if names.count(name) > 1:
-            raise ValueError(f"the field {name!r} stands twice in the same place; keep one")
-    return dict(pairs)
-
-
-def _load_yaml(path: Path, text: str) -> Any:
-    try:
-        return yaml.load(text, _Loader)
-    except yaml.MarkedYAMLError as error:
-        line = error.problem_mark.line + 1 if error.problem_mark else 1
-        raise GtcalError(f"{path}:{line}: is not valid YAML: {error.problem}") from None
-    except yaml.YAMLError as error:
-        raise GtcalError(f"{path}: is not valid YAML: {' '.join(str(error).split())}") from None
-
-
-class _Loader(yaml.SafeLoader):
-    """YAML as people mean it: a field that stands twice is an error, keys are text, 1e-3 is a number."""
-
-    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
-        seen = set()
-        for key_node, _ in node.value:
-            if key_node.tag == "tag:yaml.org,2002:merge":
-                continue
-            key = self.construct_object(key_node, deep=True)
-            if not isinstance(key, str):
-                problem = f"the name {key_node.value!r} is no text; put it in quotes"
-                raise yaml.constructor.ConstructorError(None, None, problem, key_node.start_mark)
-            if key in seen:
-                problem = f"the field {key!r} stands twice in the same place; keep one"
-                raise yaml.constructor.ConstructorError(None, None, problem, key_node.start_mark)
-            seen.add(key)
-        return super().construct_mapping(node, deep)
-
-
-_Loader.add_implicit_resolver(
-    "tag:yaml.org,2002:float",
-    re.compile(r"^[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+$"),
-    list("-+.0123456789"),
-)
 
 
 def _explain(error: ValidationError, kind: type[Entry]) -> str:
