@@ -26,7 +26,7 @@ def parse_document(path: Path, text: str) -> Any:
     """``load_document`` of a file whose text is at hand."""
     suffix = path.suffix.lower()
     if suffix == ".toml":
-        return _load_toml(path, text)
+        return load_toml(path, text)
     return _load_json(path, text) if suffix == ".json" else _load_yaml(path, text)
 
 
@@ -40,7 +40,8 @@ def read_text(path: Path) -> str:
         raise GtcalError(f"{path}: is not UTF-8 text") from None
 
 
-def _load_toml(path: Path, text: str) -> Any:
+def load_toml(path: Path, text: str) -> Any:
+    """The fields of a text in TOML. Raises GtcalError naming the file where it is not valid."""
     try:
         return tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:

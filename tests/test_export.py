@@ -10,7 +10,7 @@ import pytest
 from calibration_support import simulated
 
 from gtcal import calibrate_observations, synchronise
-from gtcal.camera_files import export_calibration
+from gtcal.camera_files.export import export_calibration
 from gtcal.cli import main
 from gtcal.errors import GtcalError
 from gtcal.estimation.options import CalibrationOptions
