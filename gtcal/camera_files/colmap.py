@@ -21,6 +21,7 @@ from gtcal.camera_files.aria import fisheye624
 from gtcal.camera_files.fields import Field, float_text, rigid_from_quaternion
 from gtcal.camera_files.lenses import F624, KB4, PINHOLE, RADTAN4, RADTAN5, Expressed, ForeignLens, express
 from gtcal.camera_files.rig import (
+    OUR_PIXELS,
     Lens,
     ReadOptions,
     Rig,
@@ -104,7 +105,8 @@ def write_colmap(rig: Rig, path: Path, notes: Sequence[str], nearest: bool) -> N
     versions of COLMAP know. Raises GtcalError without poses."""
     poses, names = rig.poses(TITLE), rig.file_names()
     first_T_ref = poses[rig.cameras[0].name]
-    comments = [f"# {note}" for note in [*notes, "but here the first pixel's centre is (0.5, 0.5), as COLMAP has it"]]
+    notes = [note.replace(OUR_PIXELS, "the first pixel's centre is (0.5, 0.5), as COLMAP has it") for note in notes]
+    comments = [f"# {note}" for note in notes]
     rows, sensors, config = [], [], []
     for i, camera in enumerate(rig.cameras, start=1):
         found = express(camera.camera, format_name=TITLE, forms=tuple(_FORMS), nearest=nearest)

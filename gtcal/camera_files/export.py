@@ -6,7 +6,7 @@ from importlib.metadata import version
 from pathlib import Path
 
 from gtcal.camera_files.formats import CAMERA_FILE_WRITERS, write_rig
-from gtcal.camera_files.rig import Rig, RigCamera
+from gtcal.camera_files.rig import OUR_PIXELS, Rig, RigCamera
 from gtcal.files import InputFile
 from gtcal.recordings.capture import Capture
 from gtcal.results.calibration import Calibration
@@ -49,5 +49,5 @@ def made_by(command: str, rig: Rig, source: InputFile | None) -> list[str]:
         f"ref is {rig.ref_words}; camera_T_ref takes coordinates in ref to coordinates in the camera"
         if rig.posed
         else "the cameras are not placed in a common frame",
-        "metres; camera frame x right, y down, z forward; integer pixel coordinates are pixel centres",
+        f"metres; camera frame x right, y down, z forward; {OUR_PIXELS}",
     ]

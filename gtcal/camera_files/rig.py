@@ -5,12 +5,13 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Literal
 
 import cv2
 import numpy as np
 
-from factors.camera_models import CAMERA_MODELS, PINHOLE_RADTAN
+from factors.camera_models import CAMERA_MODELS
 from gtcal.camera import Camera, FloatArray
 from gtcal.camera_files.fields import Field
 from gtcal.camera_files.lenses import RADTAN5, Expressed, ForeignLens, Form, as_model, fit_foreign
@@ -19,12 +20,13 @@ from gtcal.errors import GtcalError
 LengthUnit = Literal["m", "mm"]
 _LENGTHS_M: dict[LengthUnit, float] = {"m": 1.0, "mm": 1e-3}
 
-NO_POSES = "the format holds none"
+OUR_PIXELS = "integer pixel coordinates are pixel centres"
 
 
 @dataclass(frozen=True)
 class ReadOptions:
-    """What a camera file may leave unsaid; it must not contradict what the file says.
+    """What a camera file may leave unsaid. Readers take it where the file is silent; ``agreeing`` compares it with what
+    the file says of a camera.
 
     model: of every camera, a name of gtcal's. image_size_px: of every image. length_unit: of translations.
     nearest: take the nearest lens where gtcal has no model of the file's, in place of refusing."""
@@ -117,12 +119,11 @@ def rig_camera(field: Field, name: str, lens: Lens, image_size_px: tuple[int, in
     """A camera as read at ``field``, without a pose.
 
     Raises GtcalError for a focal length that is not positive, a lens that gtcal has no model of unless
-    ``options.nearest``, or one that contradicts ``options.model``."""
+    ``options.nearest``."""
     if not (lens.theta[:2] > 0).all():
         raise field.error(f"the focal lengths are {lens.theta[0]:g} and {lens.theta[1]:g}; expected positive numbers")
     found = _known(field, lens, image_size_px, options) if isinstance(lens, ForeignLens) else lens
-    camera = found.camera(name, image_size_px)
-    return RigCamera(_as_stated(field, camera, options.model), lens_off_px=found.max_px)
+    return RigCamera(found.camera(name, image_size_px), lens_off_px=found.max_px)
 
 
 def with_pose(camera: RigCamera, camera_T_ref: FloatArray | None) -> RigCamera:
@@ -130,17 +131,34 @@ def with_pose(camera: RigCamera, camera_T_ref: FloatArray | None) -> RigCamera:
 
 
 def image_size(field: Field, stated: Sequence[Field] | None, options: ReadOptions) -> tuple[int, int]:
-    """Width and height as the file states them, else as the options do. Raises GtcalError where neither does, or they
-    contradict each other."""
+    """Width and height as the file states them, else as the options do. Raises GtcalError where neither does."""
     if not stated:
         if options.image_size_px is None:
             raise field.error("the file doesn't state the size of the images; give image_size_px")
         return options.image_size_px
     width, height = (part.size() for part in stated)
-    if options.image_size_px not in (None, (width, height)):
-        given = " x ".join(map(str, options.image_size_px or ()))
-        raise field.error(f"is for images of {width} x {height} px, but image_size_px says {given}; which is right?")
     return width, height
+
+
+def agreeing(path: Path, camera: RigCamera, options: ReadOptions) -> RigCamera:
+    """The camera in the model that the options state, if they do. Raises GtcalError naming the file where its lens is
+    of another, or its images are of another size."""
+    field, size, stated = Field(path, "", None), camera.image_size_px, options.image_size_px
+    if stated not in (None, size):
+        raise field.error(
+            f"camera {camera.name!r} is for images of {size[0]} x {size[1]} px, but image_size_px says "
+            f"{' x '.join(map(str, stated or ()))}; which is right?"
+        )
+    if options.model is None:
+        return camera
+    model = CAMERA_MODELS[options.model]
+    theta = as_model(camera.camera.model, camera.camera.theta, model)
+    if theta is None:
+        raise field.error(
+            f"the lens of camera {camera.name!r} is a {camera.camera.model.name}, but model says {options.model}; "
+            "which is right?"
+        )
+    return replace(camera, camera=replace(camera.camera, model=model, parameters=theta))
 
 
 def opencv_pinhole(focal_and_centre: FloatArray, coefficients: FloatArray) -> Lens:
@@ -177,13 +195,3 @@ def _known(field: Field, lens: ForeignLens, size_px: tuple[int, int], options: R
             "most over the image: if that will do, make a file of it with 'gtcal convert --nearest'"
         )
     return found
-
-
-def _as_stated(field: Field, camera: Camera, model: str | None) -> Camera:
-    if model is None or camera.model.name == model:
-        return camera
-    theta = as_model(camera.model, camera.theta, CAMERA_MODELS[model])
-    if theta is None:
-        kind = "a pinhole" if camera.model == PINHOLE_RADTAN else f"a {camera.model.name}"
-        raise field.error(f"the lens is {kind}, but model says {model}; correct the one that is wrong")
-    return replace(camera, model=CAMERA_MODELS[model], parameters=theta)

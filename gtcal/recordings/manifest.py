@@ -8,11 +8,21 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
 import yaml
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PositiveInt, ValidationError, WithJsonSchema
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Field,
+    PositiveInt,
+    ValidationError,
+    ValidationInfo,
+    WithJsonSchema,
+)
 from pydantic_core import ErrorDetails, PydanticCustomError
 
 from factors import CAMERA_MODELS
 from gtcal.board import board_manifest_schema
+from gtcal.camera_files.formats import CAMERA_FILE_READERS
 from gtcal.documents import load_document
 from gtcal.errors import GtcalError
 from gtcal.files import write_text
@@ -40,6 +50,12 @@ def _choice(what: str, choices: Iterable[str]) -> tuple[AfterValidator, WithJson
 CameraModelName = Annotated[str, *_choice("a camera model", CAMERA_MODELS)]
 TrajectoryFormat = Annotated[str, *_choice("a trajectory format", TRAJECTORY_READERS)]
 CaptureName = Annotated[str, *_choice("a capture kind", [kind.value for kind in Capture])]
+CameraFileFormat = Annotated[str, *_choice("a format of camera files", CAMERA_FILE_READERS)]
+
+
+# Left out, not null: None is how Python says it, and no value of the manifest.
+_CAMERA_MODEL_SCHEMA = _choice("a camera model", CAMERA_MODELS)[1]
+_CAMERA_FILE_SCHEMA = _choice("a format of camera files", CAMERA_FILE_READERS)[1]
 
 
 class Entry(BaseModel):
@@ -48,12 +64,48 @@ class Entry(BaseModel):
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
 
 
+class IntrinsicsEntry(Entry):
+    """A camera's lens in a file of another tool, and what that leaves unsaid."""
+
+    file: str = Field(description="The file (of ros, ros_bag and colmap also the folder), relative to the manifest.")
+    format: Annotated[CameraFileFormat | None, _CAMERA_FILE_SCHEMA] = Field(
+        default=None, description="The format of the file. Needed where the file doesn't tell."
+    )
+    camera: str | None = Field(
+        default=None,
+        description="The camera's name in the file. Needed where it holds more than one, and none of this name.",
+    )
+
+
+def _unless_in_a_file(value: Any, info: ValidationInfo) -> Any:
+    """The value; missing, if neither it nor a file of intrinsics is given."""
+    if value is None and info.data.get("intrinsics") is None:
+        described = CameraEntry.model_fields[str(info.field_name)].description
+        raise PydanticCustomError("choice", "{message}", {"message": f"is missing; it says: {described}"})
+    return value
+
+
 class CameraEntry(Entry):
     """One camera, and where its images or detections are."""
 
-    model: CameraModelName = Field(description="The camera model.")
-    image_size_px: list[PositiveInt] = Field(
-        min_length=2, max_length=2, description="Width and height of the images in pixels."
+    model_config = ConfigDict(
+        json_schema_extra={"anyOf": [{"required": ["model", "image_size_px"]}, {"required": ["intrinsics"]}]}
+    )
+
+    intrinsics: IntrinsicsEntry | None = Field(
+        default=None, description="The lens in a file of another tool, in place of model, image_size_px and parameters."
+    )
+    model: Annotated[CameraModelName | None, _CAMERA_MODEL_SCHEMA, AfterValidator(_unless_in_a_file)] = Field(
+        default=None,
+        validate_default=True,
+        description="The camera model. Left out where a file of intrinsics says it.",
+    )
+    image_size_px: Annotated[
+        Annotated[list[PositiveInt], Field(min_length=2, max_length=2)] | None, AfterValidator(_unless_in_a_file)
+    ] = Field(
+        default=None,
+        validate_default=True,
+        description="Width and height of the images in pixels. Left out where a file of intrinsics says it.",
     )
     parameters: dict[str, float] | None = Field(
         default=None,
@@ -207,6 +259,8 @@ def check_sources(cameras: dict[str, CameraEntry]) -> None:
     for name, camera in cameras.items():
         if camera.images is None and camera.image_list is None and camera.detections is None:
             raise GtcalError(f"cameras.{name}: has neither 'images' nor 'image_list' nor 'detections'; give one")
+        if camera.intrinsics is not None and camera.parameters is not None:
+            raise GtcalError(f"cameras.{name}: has both 'intrinsics' and 'parameters'; give one")
 
 
 def _bodies_schema(capture: Capture) -> dict[str, Any]:
@@ -244,4 +298,6 @@ def _entry_at(loc: tuple[int | str, ...], manifest: type[Entry]) -> type[Entry]:
     """The entry whose field stands at this place."""
     if len(loc) == 1:
         return manifest
+    if loc[2:3] == ("intrinsics",) and len(loc) > 3:
+        return IntrinsicsEntry
     return CameraEntry if loc[0] == "cameras" else TrajectoryEntry
