@@ -111,8 +111,8 @@ def _read_trajectory(path: Path, as_format: str | None, options: ConvertOptions)
         return next(iter(read.items()))
     if read:
         raise GtcalError(f"{path}: may be {' or '.join(read)}; say which with --from")
-    # a reader that asks for what the file doesn't state has found its way in it
-    asking = [message for message in refused.values() if "give --" in message]
+    # a reader that names an option to give or to correct has found its way in the file
+    asking = [message for message in refused.values() if "--" in message]
     if as_format is not None or len(asking) == 1:
         raise GtcalError((asking or list(refused.values()))[0])
     raise GtcalError(

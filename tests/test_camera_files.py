@@ -11,86 +11,20 @@ import cv2
 import numpy as np
 import pytest
 import yaml
+from camera_files_support import (
+    HOLD,
+    IN_FRONT,
+    LENSES,
+    points_in,
+    rig_of,
+    written,
+)
 from scipy.spatial.transform import Rotation
 
-from factors import CAMERA_MODELS, FISHEYE62, FISHEYE624, KANNALA_BRANDT4, PINHOLE_RADTAN
+from factors import CAMERA_MODELS
 from factors.rigid import inverse
-from gtcal.camera import Camera
-from gtcal.camera_files.formats import CAMERA_FILE_READERS, CAMERA_FILE_WRITERS, read_rig, recognised, write_rig
-from gtcal.camera_files.rig import Rig, RigCamera
+from gtcal.camera_files.formats import CAMERA_FILE_READERS, CAMERA_FILE_WRITERS, read_rig, recognised
 from gtcal.errors import GtcalError
-
-RADTAN = [458.654, 457.296, 367.215, 248.375, -0.28340811, 0.07395907, 0.00019359, 1.76187114e-05, 0.0]
-RADTAN_K3 = [*RADTAN[:8], -0.011]
-FISHEYE = [190.97, 190.97, 254.93, 256.9, 0.0034823894, 0.000715034, -0.0020532361, 0.00020293673]
-QUEST = [504.59, 504.59, 638.39, 509.42, 0.044, -0.0449, 0.0161, -0.0109, 0.0035, -0.00052, 0.00048, -4.7e-05]
-ARIA = [240.514, 240.514, 320.249, 240.451, -0.02863, 0.10544, -0.07701, 0.01677, -0.0006, -1e-04]
-ARIA += [0.00328, -0.00206, -0.00254, 7.0e-05, 0.0023, 2.6e-05]
-LENSES = {
-    "radtan": Camera("radtan", PINHOLE_RADTAN, np.array(RADTAN), 752, 480),
-    "radtan k3": Camera("radtan_k3", PINHOLE_RADTAN, np.array(RADTAN_K3), 752, 480),
-    "fisheye": Camera("fisheye", KANNALA_BRANDT4, np.array(FISHEYE), 512, 512),
-    "fisheye62": Camera("fisheye62", FISHEYE62, np.array(QUEST), 1280, 1024),
-    "fisheye624": Camera("fisheye624", FISHEYE624, np.array(ARIA), 640, 480),
-    "fisheye624 fx fy": Camera("fisheye624_fxfy", FISHEYE624, np.array([240.514, 241.514, *ARIA[2:]]), 640, 480),
-}
-HOLD: dict[str, set[str]] = {
-    "kalibr": {"radtan", "fisheye"},
-    "opencv": {"radtan", "radtan k3", "fisheye"},
-    "ros": {"radtan", "radtan k3", "fisheye"},
-    "ros_bag": {"radtan", "radtan k3", "fisheye"},
-    "colmap": set(LENSES),
-    "aria": {"fisheye", "fisheye62", "fisheye624"},
-    "hot3d": {"fisheye", "fisheye62", "fisheye624", "fisheye624 fx fy"},
-    "umetrack": {"fisheye", "fisheye62"},
-    "anipose": {"radtan", "radtan k3", "fisheye"},
-    "pose2sim": {"radtan", "fisheye"},
-    "numpy": set(LENSES),
-}
-"""Which lenses each format holds exactly."""
-IN_FRONT = ("kalibr", "opencv", "ros", "ros_bag", "colmap", "anipose", "pose2sim")
-"""Formats whose tools project with OpenCV, or as it does: its fisheye knows nothing of what is behind the camera."""
-FILES = {
-    "numpy": "rig.npz",
-    "ros": "rig",
-    "ros_bag": "rig",
-    "colmap": "rig",
-    "kalibr": "rig.yaml",
-    "opencv": "rig.yaml",
-}
-FILES |= {"anipose": "rig.toml", "pose2sim": "rig.toml"}
-
-
-def file_of(folder: Path, format_name: str) -> Path:
-    return folder / FILES.get(format_name, "rig.json")
-
-
-def rig_of(*lenses: str) -> Rig:
-    """These cameras, anywhere in ref."""
-    random = np.random.default_rng(3)
-    cameras = []
-    for lens in lenses:
-        camera_T_ref = np.eye(4)
-        camera_T_ref[:3, :3] = Rotation.random(rng=random).as_matrix()
-        camera_T_ref[:3, 3] = random.uniform(-1, 1, 3)
-        cameras.append(RigCamera(LENSES[lens], camera_T_ref))
-    return Rig(tuple(cameras), "platform", "the platform")
-
-
-def written(folder: Path, format_name: str, rig: Rig, *, nearest: bool = False) -> Path:
-    path = file_of(folder, format_name)
-    write_rig(rig, path, format_name, ["made by a test"], nearest=nearest)
-    return path
-
-
-def points_in(camera: Camera, share: float = 0.95) -> np.ndarray:
-    """Points in the camera frame whose pixels are in the image, near its border too."""
-    size = np.array([camera.image_width_px, camera.image_height_px])
-    pixels = np.random.default_rng(1).uniform((1 - share) * size, share * size, (200, 2))
-    bearings, valid = camera.unproject(pixels)
-    assert np.count_nonzero(valid) > 100
-    return 2.0 * bearings[valid]
-
 
 # Each format as the library that it is for reads it: by camera, points in ref -> pixels, integers at pixel centres
 

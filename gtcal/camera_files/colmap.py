@@ -79,7 +79,7 @@ def recognises_rig(document: object) -> bool:
 def recognises_cameras(start: str) -> bool:
     """Whether a text file that begins like this is a cameras.txt."""
     rows = [line.split() for line in start.splitlines() if line.strip() and not line.startswith("#")]
-    return bool(rows) and len(rows[0]) >= 7 and rows[0][0].isdigit() and rows[0][1].isupper()
+    return bool(rows) and len(rows[0]) >= 4 and rows[0][0].isdigit() and rows[0][1].isupper() and rows[0][2].isdigit()
 
 
 def read_colmap(path: Path, options: ReadOptions) -> Rig:
@@ -91,7 +91,7 @@ def read_colmap(path: Path, options: ReadOptions) -> Rig:
     folder = path if path.is_dir() else path.parent
     if path.is_dir() and not (path / CAMERAS).is_file():
         raise GtcalError(f"{path}: there is no {CAMERAS}; COLMAP writes one with --output_type TXT")
-    config = path if path.suffix.lower() == ".json" else folder / RIG_CONFIG
+    config = path if path.is_file() and path.suffix.lower() == ".json" else folder / RIG_CONFIG
     if path.is_file() and config != path:
         return _unposed(_read_cameras(path, options))
     known = _read_cameras(folder / CAMERAS, options) if (folder / CAMERAS).is_file() else {}

@@ -20,6 +20,7 @@ from gtcal.errors import GtcalError
 _GRID = 25
 # A polar grid of bearings for lenses that only project: half a degree outwards, ten degrees around.
 _AZIMUTHS, _STEPS, _WIDEST_RAD = 36, 240, np.deg2rad(120.0)
+_NEWTON_STEPS, _STEP, _FOUND_PX = 8, 1e-6, 1e-6
 # Past 85 degrees off its axis a pinhole's image is eleven focal lengths from the middle, and no sensor reaches there.
 _PINHOLE_LIMIT = np.cos(np.deg2rad(85.0))
 
@@ -138,7 +139,26 @@ def fit_foreign(lens: ForeignLens, image_size_px: tuple[int, int]) -> Expressed 
     seen &= (pixels_px > -0.5).all(axis=1) & (pixels_px < np.array(image_size_px) - 0.5).all(axis=1)
     if np.count_nonzero(seen) < len(lens.theta):
         return None
-    return _fitted(lens.form, lens.theta, pixels_px[seen], bearings[seen], image_size_px)
+    rough = _fitted(lens.form, lens.theta, pixels_px[seen], bearings[seen], image_size_px)
+    if rough is None:
+        return None
+    grid_px, start = _image_grid(rough.camera(lens.name, image_size_px))
+    bearings, found = _unprojected(lens, grid_px, start)
+    return _fitted(lens.form, rough.theta, grid_px[found], bearings[found], image_size_px)
+
+
+def _unprojected(lens: ForeignLens, pixels_px: FloatArray, bearings: FloatArray) -> tuple[FloatArray, BoolArray]:
+    """Bearings (N, 3) of pixels (N, 2) from bearings near them, and whether they were found: Newton's method."""
+    for _ in range(_NEWTON_STEPS):
+        across = np.cross(bearings, np.eye(3)[np.argmin(np.abs(bearings), axis=1)])
+        across /= np.linalg.norm(across, axis=1, keepdims=True)
+        tangents = np.stack([across, np.cross(bearings, across)])
+        here_px = lens.project(bearings)
+        J = np.stack([(lens.project(bearings + _STEP * t) - here_px) / _STEP for t in tangents], axis=-1)
+        steps = (np.linalg.pinv(J) @ (pixels_px - here_px)[..., None])[..., 0]
+        bearings = bearings + np.einsum("knc,nk->nc", tangents, steps)
+        bearings /= np.linalg.norm(bearings, axis=1, keepdims=True)
+    return bearings, np.linalg.norm(lens.project(bearings) - pixels_px, axis=1) < _FOUND_PX
 
 
 def _before_the_fold(pixels_px: FloatArray, centre_px: FloatArray) -> BoolArray:
