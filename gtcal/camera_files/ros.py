@@ -54,8 +54,13 @@ def recognises(document: object) -> bool:
 
 
 def recognises_folder(folder: Path) -> bool:
-    """Whether gtcal may have written this folder for ROS."""
-    return any(folder.glob("*.launch.xml"))
+    """Whether this folder holds camera_info files, and no YAML but these."""
+    files = _yaml_files(folder)
+    return bool(files) and all(recognises(load_document(file)) for file in files)
+
+
+def _yaml_files(folder: Path) -> list[Path]:
+    return sorted([*folder.glob("*.yaml"), *folder.glob("*.yml")])
 
 
 def read_ros(path: Path, options: ReadOptions) -> Rig:
@@ -65,7 +70,7 @@ def read_ros(path: Path, options: ReadOptions) -> Rig:
     Raises GtcalError naming file and field for what is missing, wrong or no lens of gtcal's."""
     if not path.is_dir():
         return Rig((_read_camera(path, options),), "ref", "not known", "a camera_info holds no pose")
-    files = sorted([*path.glob("*.yaml"), *path.glob("*.yml")])
+    files = _yaml_files(path)
     if not files:
         raise GtcalError(f"{path}: there is no camera_info in this folder; expected <camera>.yaml")
     cameras = [_read_camera(file, options) for file in files]
