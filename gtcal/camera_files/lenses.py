@@ -216,7 +216,7 @@ def _fitted(
         J_theta = model.project_with_jacobians(bearings, spread @ free)[3]
         return np.nan_to_num(J_theta.reshape(-1, model.n_parameters)) @ spread
 
-    solved = least_squares(residuals, free, jacobian, x_scale="jac", xtol=1e-12, ftol=1e-12, gtol=None, max_nfev=200)
+    solved = least_squares(residuals, free, jacobian, x_scale="jac", xtol=1e-10, ftol=1e-10, gtol=None, max_nfev=100)
     theta = spread @ solved.x
     if not model.project(bearings, theta)[1].all():
         return None
@@ -238,4 +238,6 @@ def _image_grid(camera: Camera) -> tuple[FloatArray, FloatArray]:
 
 
 def _named(form: Form) -> str:
-    return form.model.name + (" with one focal length" if form.one_focal_length else "")
+    missing = " and ".join(form.model.parameter_names[form.n_free :]) if form.n_free > 4 else "distortion"
+    without = f" without {missing}" if form.n_free < form.model.n_parameters else ""
+    return form.model.name + without + (" with one focal length" if form.one_focal_length else "")
