@@ -15,7 +15,7 @@ from gtcal.errors import GtcalError
 
 
 def load_document(path: Path) -> Any:
-    """What a file says: JSON or TOML by its suffix, else YAML.
+    """What a file says: JSON (also the single line of a .jsonl) or TOML by its suffix, else YAML.
 
     Raises GtcalError naming the file, and the line where there is one, for a file that can't be read, is not valid, or
     holds a field twice."""
@@ -27,7 +27,9 @@ def parse_document(path: Path, text: str) -> Any:
     suffix = path.suffix.lower()
     if suffix == ".toml":
         return load_toml(path, text)
-    return _load_json(path, text) if suffix == ".json" else _load_yaml(path, text)
+    if suffix == ".jsonl" and (n_lines := len(text.split("\n{"))) > 1:
+        raise GtcalError(f"{path}: holds {n_lines} documents, a line each; keep the one that is meant")
+    return _load_json(path, text) if suffix in (".json", ".jsonl") else _load_yaml(path, text)
 
 
 def read_text(path: Path) -> str:

@@ -119,6 +119,14 @@ def test_arias_factory_file_needs_the_images_size(tmp_path: Path) -> None:
     )
 
 
+def test_arias_online_calibration_is_read_where_it_is_one_line(tmp_path: Path) -> None:
+    line = json.dumps(ARIA_FACTORY | {"ImageSizes": [[640, 480]], "utc_timestamp_ns": 1}) + "\n"
+    (camera,) = read_text_as(tmp_path, "online_calibration.jsonl", line).cameras
+    np.testing.assert_array_equal(camera.camera.theta, ARIA)
+    with pytest.raises(GtcalError, match="holds 3 documents, a line each; keep the one that is meant"):
+        read_text_as(tmp_path, "online_calibration.jsonl", 3 * line)
+
+
 def test_real_lenses_of_a_quest_project_as_two_libraries_have_it(tmp_path: Path) -> None:
     """Through UmeTrack's and HOT3D's files."""
     oracle = Path(__file__).parents[2] / "shared" / "oracles" / "fisheye62_quest3.json"

@@ -68,7 +68,7 @@ _BY_DOCUMENT: dict[str, Callable[[Any], bool]] = {
     "umetrack": umetrack.recognises,
     "gtcal": recognises_gtcal,
 }
-_DOCUMENTS = (".yaml", ".yml", ".json", ".toml")
+_DOCUMENTS = (".yaml", ".yml", ".json", ".jsonl", ".toml")
 
 
 @dataclass(frozen=True)

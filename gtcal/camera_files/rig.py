@@ -71,10 +71,10 @@ class RigCamera:
 class Rig:
     """Cameras placed in one frame.
 
-    ref: the frame's name, letters, digits and underscores. ref_words: what it is.
+    ref: the frame's name, letters, digits and _ / . - only. ref_words: what it is.
     unposed: why no camera has a pose; empty where all have.
     body_T_board: (4, 4) of a calibration.
-    Raises GtcalError where two cameras have the same name, or only some have a pose."""
+    Raises GtcalError where two cameras have the same name, only some have a pose, or ref is no name of a frame."""
 
     cameras: tuple[RigCamera, ...]
     ref: str
@@ -83,6 +83,8 @@ class Rig:
     body_T_board: FloatArray | None = None
 
     def __post_init__(self) -> None:
+        if not re.fullmatch(r"[A-Za-z0-9_/.-]+", self.ref):
+            raise GtcalError(f"the frame {self.ref!r} of the cameras: a frame's name has letters, digits, _ / . - only")
         names = [camera.name for camera in self.cameras]
         for name in names:
             if names.count(name) > 1:

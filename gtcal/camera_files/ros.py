@@ -8,6 +8,7 @@ A camera_info as 'ros2 topic echo' prints it is read too.
 
 from __future__ import annotations
 
+import json
 import re
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Sequence
@@ -186,7 +187,7 @@ def _camera_info(camera: RigCamera, notes: Sequence[str], nearest: bool) -> str:
         f"# {found.said(camera.camera)}",
         f"image_width: {camera.image_size_px[0]}",
         f"image_height: {camera.image_size_px[1]}",
-        f"camera_name: {camera.name if not camera.name.isdigit() else repr(camera.name)}",
+        f"camera_name: {json.dumps(camera.name)}",
         *_matrix("camera_matrix", 3, 3, np.array([fx, 0, cx, 0, fy, cy, 0, 0, 1])),
         f"distortion_model: {model}",
         *_matrix("distortion_coefficients", 1, len(coefficients), coefficients),

@@ -25,10 +25,9 @@ def convert(
 ) -> None:
     """Read a camera file or a trajectory of one tool and write it for another.
 
-    Cameras: kalibr, opencv, ros, ros_bag, colmap, aria, hot3d, umetrack, anipose, pose2sim, numpy (see 'gtcal export
-    --help'), and to read also gtcal, which is calibration.json. Trajectories: euroc_csv, tum, and to read all that a
-    recording's manifest knows. Every format's pixel centres, units and orders are minded; what a file doesn't state is
-    asked for, not guessed.
+    Cameras: the formats that 'gtcal export' explains, and to read also gtcal, which is calibration.json. Trajectories:
+    euroc_csv and tum, and to read all that a recording's manifest knows. Each format's pixel centres, units and orders
+    are minded; what a file doesn't state is asked for, not guessed.
 
     Args:
         input: File or folder to read.
