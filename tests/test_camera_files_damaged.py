@@ -76,8 +76,8 @@ def spots(value: object, way: tuple = ()) -> list[tuple]:
 @pytest.mark.parametrize(
     ("name", "format_name", "document"),
     [
-        ("chain.yaml", "kalibr", yaml.safe_load(KALIBR)),
-        ("info.yaml", "ros", yaml.safe_load(CAMERA_INFO)),
+        ("chain.json", "kalibr", yaml.safe_load(KALIBR)),
+        ("info.json", "ros", yaml.safe_load(CAMERA_INFO)),
         ("clip.json", "hot3d", HOT3D_CLIP),
         ("aria.json", "aria", ARIA_FACTORY | {"ImageSizes": [[640, 480]]}),
         ("umetrack.json", "umetrack", UMETRACK),
@@ -202,3 +202,41 @@ def test_without_rosbags_the_extra_is_named(tmp_path: Path, monkeypatch: pytest.
     with pytest.raises(GtcalError, match=r"needs the library rosbags: pip install 'gtcal\[bags\]'"):
         written(tmp_path, "ros_bag", rig_of("radtan"))
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("format_name", "file"),
+    [
+        ("pose2sim", None),
+        ("anipose", None),
+        ("opencv", None),
+        ("kalibr", None),
+        ("colmap", "cameras.txt"),
+        ("colmap", "rig_config.json"),
+        ("ros", "fisheye.yaml"),
+        ("ros", "static_transforms.launch.xml"),
+    ],
+)
+def test_every_line_that_is_lost_or_garbled_is_told_in_one_line_or_not_needed(
+    format_name: str, file: str | None, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    path = written(tmp_path, format_name, rig_of("fisheye"))
+    damaged_file = path if file is None else path / file
+    lines = damaged_file.read_text().splitlines()
+    told = 0
+    for i, line in enumerate(lines):
+        garbled = [
+            "",
+            line[: len(line) // 2],
+            line.replace("=", "=-"),
+            line.replace(":", ": x"),
+            line.replace("0", "nan"),
+        ]
+        for instead in garbled:
+            if instead != line:
+                damaged_file.write_text("\n".join([*lines[:i], instead, *lines[i + 1 :]]) + "\n")
+                said_of_it = said(path, format_name)
+                told += said_of_it is not None
+                assert said_of_it is None or "\n" not in said_of_it
+    assert told > 0.7 * len(lines)
+    assert capfd.readouterr().err == ""

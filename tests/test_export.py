@@ -6,6 +6,7 @@ from __future__ import annotations
 import hashlib
 from importlib.metadata import version
 from pathlib import Path
+from typing import get_args
 
 import cv2
 import numpy as np
@@ -17,6 +18,7 @@ from cli_support import files_in, run
 from factors.rigid import inverse
 from gtcal.camera_files.export import EXPORT_FORMATS, export_calibration
 from gtcal.camera_files.formats import read_rig
+from gtcal.cli.export import Format
 from gtcal.errors import GtcalError
 from gtcal.recordings.capture import Capture
 from gtcal.results.calibration import Calibration
@@ -139,6 +141,10 @@ def test_a_calibration_is_a_camera_file_itself(path: Path) -> None:
         found = next(other for other in read.rig.cameras if other.name == name)
         np.testing.assert_array_equal(found.camera.theta, camera.camera.theta)
         np.testing.assert_array_equal(found.camera_T_ref, camera.camera_T_ref.a_T_b)
+
+
+def test_the_command_line_offers_every_format() -> None:
+    assert get_args(Format) == EXPORT_FORMATS
 
 
 def test_what_goes_wrong_ends_in_one_line_with_nothing_written(tmp_path: Path) -> None:
