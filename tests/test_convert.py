@@ -87,7 +87,8 @@ def test_nearest_lenses_are_asked_for_in_reading_and_in_writing(tmp_path: Path) 
     )
     ran = run("convert", info, "--to", "umetrack", "-o", out, "--nearest")
     assert ran.code == 0, ran.err
-    assert "px at most)" in ran.out
+    assert "px at most)" in ran.out  # in reading
+    assert "camera 'info' as fisheye62: off by " in ran.out  # in writing
     assert 0 < json.loads(out.read_text())["cameras"][0]["Camera"]["lens_off_at_most_px"] < 5
 
 

@@ -10,6 +10,7 @@ from typing import Any, Protocol
 from gtcal.camera_files import aria, colmap, kalibr, numpy_file, opencv, ros, ros_bag, toml_rigs, umetrack
 from gtcal.camera_files.gtcal_file import read_gtcal
 from gtcal.camera_files.gtcal_file import recognises as recognises_gtcal
+from gtcal.camera_files.lenses import difference_px
 from gtcal.camera_files.rig import ReadOptions, Rig
 from gtcal.documents import load_document
 from gtcal.errors import GtcalError
@@ -68,6 +69,7 @@ _BY_DOCUMENT: dict[str, Callable[[Any], bool]] = {
     "umetrack": umetrack.recognises,
     "gtcal": recognises_gtcal,
 }
+_SAME_LENS_PX = 1e-6
 _DOCUMENTS = (".yaml", ".yml", ".json", ".jsonl", ".toml")
 
 
@@ -100,6 +102,19 @@ def write_rig(rig: Rig, path: Path, format_name: str, notes: Sequence[str], *, n
     if format_name not in CAMERA_FILE_WRITERS:
         raise GtcalError(f"{format_name!r} is no format of an export; formats: {', '.join(CAMERA_FILE_WRITERS)}")
     CAMERA_FILE_WRITERS[format_name](rig, path, notes, nearest)
+
+
+def losses(rig: Rig, path: Path, format_name: str) -> list[str]:
+    """What was lost in writing the rig to a file, by reading it again: a line for each camera whose lens is another."""
+    again = {camera.name: camera.camera for camera in read_rig(path, format_name).rig.cameras}
+    lines = []
+    for camera in rig.cameras:
+        if camera.name in again:
+            rms_px, max_px = difference_px(camera.camera, again[camera.name])
+            if max_px > _SAME_LENS_PX:
+                model = again[camera.name].model.name
+                lines.append(f"camera {camera.name!r} as {model}: off by {rms_px:.3g} px rms, {max_px:.3g} px at most")
+    return lines
 
 
 def recognised(path: Path) -> str | None:

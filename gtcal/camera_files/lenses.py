@@ -224,6 +224,17 @@ def _fitted(
     return Expressed(form, theta, float(np.sqrt(np.mean(norms_px**2))), float(norms_px.max()))
 
 
+def difference_px(camera: Camera, other: Camera) -> tuple[float, float]:
+    """By how much the second camera's pixels differ from the first's over its image: rms and at most; infinite where
+    the second has none."""
+    pixels_px, bearings = _image_grid(camera)
+    projected_px, valid = other.project(bearings)
+    if not valid.all():
+        return np.inf, np.inf
+    norms_px = np.linalg.norm(projected_px - pixels_px, axis=1)
+    return float(np.sqrt(np.mean(norms_px**2))), float(norms_px.max())
+
+
 def _image_grid(camera: Camera) -> tuple[FloatArray, FloatArray]:
     """Pixels over the image, borders included, and their bearings, as far as the lens has any."""
     x = np.linspace(0.0, camera.image_width_px - 1.0, _GRID)

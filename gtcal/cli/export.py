@@ -36,5 +36,7 @@ def export(
     from gtcal.files import fingerprint
     from gtcal.results.calibration_file import read_calibration
 
-    export_calibration(read_calibration(calibration), output, to, nearest=nearest, source=fingerprint(calibration))
-    print(f"wrote {output}")
+    lost = export_calibration(
+        read_calibration(calibration), output, to, nearest=nearest, source=fingerprint(calibration)
+    )
+    print("\n".join([f"wrote {output}", *lost]))
