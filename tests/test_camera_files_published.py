@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +24,7 @@ from camera_files_support import (
     read_text_as,
     written,
 )
+from scipy.spatial.transform import Rotation
 
 from factors import FISHEYE62
 from factors.rigid import inverse
@@ -153,3 +155,50 @@ def test_a_toml_that_may_be_aniposes_or_pose2sims_is_not_guessed(tmp_path: Path)
     assert "length_unit" in unposed.unposed
     in_mm = read_text_as(tmp_path, "Calib.toml", POSE2SIM, "anipose", length_unit="mm")
     np.testing.assert_allclose(in_mm.cameras[0].camera_T_ref[:3, 3], [-0.0004219, 0.0006801, 0.0039142])
+
+
+def test_a_ros_1_bag_with_a_chain_of_frames(tmp_path: Path) -> None:
+    """As a driver and a robot's description publish them: many messages, base -> link -> optical frame."""
+    rosbag1, typesys = pytest.importorskip("rosbags.rosbag1"), pytest.importorskip("rosbags.typesys")
+    store = typesys.get_typestore(typesys.Stores.ROS1_NOETIC)
+    tf = typesys.get_types_from_msg("geometry_msgs/TransformStamped[] transforms", "tf2_msgs/msg/TFMessage")
+    store.register(tf)
+    types = store.types
+    header = types["std_msgs/msg/Header"](0, types["builtin_interfaces/msg/Time"](1, 2), "camera_optical")
+    fx, fy, cx, cy = 438.78, 437.3, 305.59, 243.73
+    info = types["sensor_msgs/msg/CameraInfo"](
+        header,
+        480,
+        640,
+        "plumb_bob",
+        D=np.array([-0.36, 0.11, 0.001, 0.0005, 0.0]),
+        K=np.array([fx, 0, cx, 0, fy, cy, 0, 0, 1.0]),
+        R=np.eye(3).ravel(),
+        P=np.zeros(12),
+        binning_x=0,
+        binning_y=0,
+        roi=types["sensor_msgs/msg/RegionOfInterest"](0, 0, 0, 0, False),
+    )
+    turned = Rotation.from_euler("xyz", [-90, 0, -90], degrees=True)  # a body's axes to an optical frame's
+
+    def stamped(parent: str, child: str, x: float, quat_xyzw: list[float]):
+        transform = types["geometry_msgs/msg/Transform"](
+            types["geometry_msgs/msg/Vector3"](x, 0.0, 0.0), types["geometry_msgs/msg/Quaternion"](*quat_xyzw)
+        )
+        return types["geometry_msgs/msg/TransformStamped"](replace(header, frame_id=parent), child, transform)
+
+    static = types["tf2_msgs/msg/TFMessage"](
+        [stamped("link", "camera_optical", 0.0, turned.as_quat().tolist()), stamped("base", "link", 0.3, [0, 0, 0, 1])]
+    )
+    with rosbag1.Writer(tmp_path / "robot.bag") as writer:
+        for topic, message in (("/front/camera_info", info), ("/tf_static", static)):
+            connection = writer.add_connection(topic, message.__msgtype__, typestore=store)
+            for stamp in range(3):
+                writer.write(connection, stamp, store.serialize_ros1(message, message.__msgtype__))
+    rig = read_rig(tmp_path / "robot.bag", None).rig
+    (camera,) = rig.cameras
+    assert (rig.ref, camera.name, camera.image_size_px) == ("base", "front", (640, 480))
+    np.testing.assert_array_equal(camera.camera.theta, [fx, fy, cx, cy, -0.36, 0.11, 0.001, 0.0005, 0.0])
+    base_T_camera = inverse(camera.camera_T_ref)
+    np.testing.assert_allclose(base_T_camera[:3, 3], [0.3, 0.0, 0.0], atol=1e-12)
+    np.testing.assert_allclose(base_T_camera[:3, 2], [1.0, 0.0, 0.0], atol=1e-12)  # it looks forward
