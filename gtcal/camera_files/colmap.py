@@ -106,39 +106,52 @@ def write_colmap(rig: Rig, path: Path, notes: Sequence[str], nearest: bool) -> N
     poses, names = rig.poses(TITLE), rig.file_names()
     first_T_ref = poses[rig.cameras[0].name]
     notes = [note.replace(OUR_PIXELS, "the first pixel's centre is (0.5, 0.5), as COLMAP has it") for note in notes]
-    comments = [f"# {note}" for note in notes]
-    rows, sensors, config = [], [], []
-    for i, camera in enumerate(rig.cameras, start=1):
-        found = express(camera.camera, format_name=TITLE, forms=tuple(_FORMS), nearest=nearest)
-        model, params = _written(found)
-        camera_T_first = poses[camera.name] @ inverse(first_T_ref)
-        quat_wxyz = quaternions_from_poses(camera_T_first[None], "wxyz")[0].tolist()
-        t = camera_T_first[:3, 3].tolist()
-        width, height = camera.image_size_px
-        rows.append(f"# {names[camera.name]}: {found.said(camera.camera)}")
-        rows.append(f"{i} {model} {width} {height} {' '.join(map(float_text, params))}")
-        if i > 1:
-            sensors.append(f"CAMERA {i} 1 {' '.join(map(float_text, [*quat_wxyz, *t]))}")
-        placed = {"ref_sensor": True} if i == 1 else {"cam_from_rig_rotation": quat_wxyz, "cam_from_rig_translation": t}
-        config.append(
-            {"image_prefix": f"{names[camera.name]}/", **placed, "camera_model_name": model, "camera_params": params}
-            | {"camera_id": i}
-        )
-    document = [
-        {"cameras": config, "length_unit": "m", "ref_camera_T_ref": first_T_ref.tolist(), "made_by": list(notes)}
+    comments = "".join(f"# {note}\n" for note in notes)
+    found = [express(c.camera, format_name=TITLE, forms=tuple(_FORMS), nearest=nearest) for c in rig.cameras]
+    placed = [_quaternion_and_translation(pose @ inverse(first_T_ref)) for pose in poses.values()]
+    cameras = [_cameras_lines(i, *parts) for i, parts in enumerate(zip(rig.cameras, found, strict=True), start=1)]
+    entries = [
+        _config_entry(i, f"{names[camera.name]}/", lens, pose)
+        for i, (camera, lens, pose) in enumerate(zip(rig.cameras, found, placed, strict=True), start=1)
     ]
-    rigs = f"1 {len(rig.cameras)} CAMERA 1 {' '.join(sensors)}".rstrip()
+    sensors = [f" CAMERA {i} 1 {_row([*quat, *t])}" for i, (quat, t) in enumerate(placed, start=1) if i > 1]
+    rigs = f"1 {len(cameras)} CAMERA 1{''.join(sensors)}"
+    config = {"cameras": entries, "length_unit": "m", "ref_camera_T_ref": first_T_ref.tolist(), "made_by": notes}
     write_folder(
         path,
         {
-            CAMERAS: "\n".join([*comments, "# CAMERA_ID MODEL WIDTH HEIGHT PARAMS[]", *rows]) + "\n",
-            "rigs.txt": "\n".join([*comments, "# RIG_ID NUM_SENSORS REF_SENSOR SENSORS[]", rigs]) + "\n",
+            CAMERAS: f"{comments}# CAMERA_ID MODEL WIDTH HEIGHT PARAMS[]\n{''.join(cameras)}",
+            "rigs.txt": f"{comments}# RIG_ID NUM_SENSORS REF_SENSOR SENSORS[]\n{rigs}\n",
             "frames.txt": "# no frames\n",
             "images.txt": "# no images\n",
             "points3D.txt": "# no points\n",
-            RIG_CONFIG: json.dumps(document, indent=1, allow_nan=False) + "\n",
+            RIG_CONFIG: json.dumps([config], indent=1, allow_nan=False) + "\n",
         },
     )
+
+
+def _cameras_lines(i: int, camera: RigCamera, found: Expressed) -> str:
+    """Of cameras.txt."""
+    model, params = _written(found)
+    width, height = camera.image_size_px
+    return f"# {camera.name}: {found.said(camera.camera)}\n{i} {model} {width} {height} {_row(params)}\n"
+
+
+def _config_entry(i: int, prefix: str, found: Expressed, placed: tuple[list[float], list[float]]) -> dict[str, object]:
+    """Of rig_config.json."""
+    model, params = _written(found)
+    pose = (
+        {"cam_from_rig_rotation": placed[0], "cam_from_rig_translation": placed[1]} if i > 1 else {"ref_sensor": True}
+    )
+    return {"image_prefix": prefix, **pose, "camera_model_name": model, "camera_params": params, "camera_id": i}
+
+
+def _quaternion_and_translation(a_T_b: FloatArray) -> tuple[list[float], list[float]]:
+    return quaternions_from_poses(a_T_b[None], "wxyz")[0].tolist(), a_T_b[:3, 3].tolist()
+
+
+def _row(values: Sequence[float]) -> str:
+    return " ".join(map(float_text, values))
 
 
 def _written(found: Expressed) -> tuple[str, list[float]]:

@@ -74,46 +74,39 @@ def read_pose2sim(path: Path, options: ReadOptions) -> Rig:
 
 def write_anipose(rig: Rig, path: Path, notes: Sequence[str], nearest: bool) -> None:
     """Write aniposelib's TOML. Raises GtcalError without poses, or for a lens that it lacks unless ``nearest``."""
-    metadata = ["adjusted = false", "error = 0.0"]
-    _write(rig, path, notes, nearest, ANIPOSE, RADTAN5, metadata, "anipose")
+    keys = [f"cam_{i}" for i in range(len(rig.cameras))]
+    _write(rig, path, notes, _tables(rig, keys, ANIPOSE, RADTAN5, nearest), "anipose")
 
 
 def write_pose2sim(rig: Rig, path: Path, notes: Sequence[str], nearest: bool) -> None:
-    """Write Pose2Sim's Calib.toml. Raises GtcalError without poses, or for a lens that it doesn't know unless
-    ``nearest``."""
-    _write(rig, path, notes, nearest, POSE2SIM, RADTAN4, ["adjusted = false", "error = 0.0"], "pose2sim")
+    """Write Pose2Sim's Calib.toml. Raises GtcalError without poses, or for a lens that it lacks unless ``nearest``."""
+    keys = [_key(camera.name) for camera in rig.cameras]
+    _write(rig, path, notes, _tables(rig, keys, POSE2SIM, RADTAN4, nearest), "pose2sim")
 
 
-def _write(
-    rig: Rig,
-    path: Path,
-    notes: Sequence[str],
-    nearest: bool,
-    title: str,
-    pinhole: Form,
-    metadata: Sequence[str],
-    format_name: str,
-) -> None:
-    poses = rig.poses(title)
-    lines = [f"# {note}" for note in notes]
-    for i, camera in enumerate(rig.cameras):
+def _write(rig: Rig, path: Path, notes: Sequence[str], tables: list[str], format_name: str) -> None:
+    metadata = ["[metadata]", "adjusted = false", "error = 0.0", f'format = "{format_name}"', 'length_unit = "m"']
+    write_text(path, "\n".join([*(f"# {note}" for note in notes), "", *tables, *metadata]) + "\n")
+
+
+def _tables(rig: Rig, keys: Sequence[str], title: str, pinhole: Form, nearest: bool) -> list[str]:
+    """Every camera's lines. pinhole: with as many coefficients as the format's tools take."""
+    lines = []
+    for key, camera, camera_T_ref in zip(keys, rig.cameras, rig.poses(title).values(), strict=True):
         found = express(camera.camera, format_name=title, forms=(pinhole, KB4), nearest=nearest)
         fx, fy, cx, cy = found.theta[:4]
-        n_coefficients = 4 if found.model == KANNALA_BRANDT4 else pinhole.n_free - 4
-        camera_T_ref = poses[camera.name]
         lines += [
-            "",
-            f"[{f'cam_{i}' if title == ANIPOSE else _key(camera.name)}]  # {found.said(camera.camera)}",
+            f"[{key}]  # {found.said(camera.camera)}",
             f"name = {json.dumps(camera.name)}",
             f"size = [{camera.image_size_px[0]}, {camera.image_size_px[1]}]",
             f"matrix = [{row_text([fx, 0, cx])}, {row_text([0, fy, cy])}, {row_text([0, 0, 1])}]",
-            f"distortions = {row_text(found.theta[4 : 4 + n_coefficients])}",
+            f"distortions = {row_text(found.theta[4 : found.form.n_free])}",
             f"rotation = {row_text(Rotation.from_matrix(camera_T_ref[:3, :3]).as_rotvec())}",
             f"translation = {row_text(camera_T_ref[:3, 3])}",
             f"fisheye = {'true' if found.model == KANNALA_BRANDT4 else 'false'}",
+            "",
         ]
-    lines += ["", "[metadata]", *metadata, f'format = "{format_name}"', 'length_unit = "m"']
-    write_text(path, "\n".join(lines) + "\n")
+    return lines
 
 
 def _document(path: Path) -> Field:
