@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import IO
 
 from gtcal.errors import GtcalError
@@ -44,6 +45,23 @@ def write_text(path: Path, text: str) -> None:
     """Write a text file whole or not at all. Raises GtcalError where it can't be written."""
     with write_aside(path) as file:
         file.write(text)
+
+
+def write_folder(path: Path, texts: dict[str, str]) -> None:
+    """Write text files, by name, into a folder that is made where it is missing. Nothing is put in place before all of
+    them are on the disk beside it.
+
+    Raises GtcalError where they can't be written."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with TemporaryDirectory(prefix=f".{path.name}.", suffix=".part", dir=path.parent) as aside:
+            for name, text in texts.items():
+                write_text(Path(aside) / name, text)
+            path.mkdir(exist_ok=True)
+            for name in texts:
+                (Path(aside) / name).replace(path / name)
+    except OSError as error:
+        raise GtcalError(f"{path}: can't be written: {error.strerror or error}") from error
 
 
 def fingerprint(path: Path) -> InputFile:

@@ -1,95 +1,172 @@
-"""Exports, read by the libraries they are for: the same points at the same pixels."""
+"""gtcal export: a calibration for other tools, from the command line. That each format's own library reads it to the
+same pixels is tested in test_camera_files.py."""
 
 from __future__ import annotations
 
-from functools import cache
+import hashlib
+import re
+from importlib.metadata import version
+from pathlib import Path
+from typing import get_args
 
 import cv2
 import numpy as np
 import pytest
-from calibration_support import simulated
+import yaml
+from camera_files_support import file_of, points_in
+from cli_support import files_in, run
 
-from gtcal import calibrate_observations, synchronise
-from gtcal.camera_files import export_calibration
-from gtcal.cli import main
+from factors.rigid import inverse
+from gtcal.camera_files.export import EXPORT_FORMATS, export_calibration
+from gtcal.camera_files.formats import read_rig
+from gtcal.cli.export import Format
 from gtcal.errors import GtcalError
-from gtcal.estimation.options import CalibrationOptions
-from gtcal.results.calibration_file import write_calibration
+from gtcal.recordings.capture import Capture
+from gtcal.results.calibration import Calibration
+from gtcal.results.calibration_file import read_calibration, write_calibration
+from gtcal.simulation import fixed_cameras_rig, quest3_like_rig
+from gtcal.simulation.lollypop import exact_calibration
+
+RIGS = {
+    "headset": (Capture.TRACKED_PLATFORM, quest3_like_rig()),
+    "fixed": (Capture.FIXED_CAMERAS, fixed_cameras_rig()),
+}
+HOLD = {
+    "headset": {"colmap", "aria", "hot3d", "umetrack", "numpy"},
+    "fixed": {"opencv", "ros", "ros_bag", "colmap", "anipose", "numpy"},  # with k3
+}
 
 
-@cache
-def calibrated(kind="pinholes and fisheyes fixed"):
-    recording = simulated(kind, frames=30).recording
-    return calibrate_observations(synchronise(recording), CalibrationOptions(mocap="exact"))
+def calibrated(kind: str) -> Calibration:
+    capture, rig = RIGS[kind]
+    poses = {camera.name: inverse(rig.rig_T_camera[i]) for i, camera in enumerate(rig.cameras)}
+    return exact_calibration(capture, rig.cameras, poses)
 
 
-def points_in(camera):
-    """Points in the camera frame within its image."""
-    width, height = camera.image_width_px, camera.image_height_px
-    pixels = np.random.default_rng(1).uniform([0.2 * width, 0.2 * height], [0.8 * width, 0.8 * height], (40, 2))
-    bearings, valid = camera.unproject(pixels)
-    assert valid.all()
-    return 2.0 * bearings
+@pytest.fixture(params=RIGS)
+def kind(request: pytest.FixtureRequest) -> str:
+    return str(request.param)
 
 
-def opencv_pixels(points, K, D, fisheye):
-    if fisheye:
-        return cv2.fisheye.projectPoints(points[:, None], np.zeros(3), np.zeros(3), K, D.reshape(4))[0][:, 0]
-    return cv2.projectPoints(points, np.zeros(3), np.zeros(3), K, D)[0][:, 0]
+@pytest.fixture
+def path(kind: str, tmp_path: Path) -> Path:
+    """A calibration.json."""
+    write_calibration(tmp_path / "calibration.json", calibrated(kind))
+    return tmp_path / "calibration.json"
 
 
-def test_opencv_reads_its_file_and_projects_to_the_same_pixels(tmp_path):
-    result = calibrated()
-    export_calibration(result, tmp_path / "rig.yaml", "opencv")
-    storage = cv2.FileStorage(str(tmp_path / "rig.yaml"), cv2.FILE_STORAGE_READ)
-    for i, calibration in enumerate(result.cameras.values()):
-        node, camera = storage.getNode(f"cam{i}"), calibration.camera
-        assert node.getNode("name").string() == camera.name
-        K, D = node.getNode("camera_matrix").mat(), node.getNode("distortion_coefficients").mat()
-        points = points_in(camera)
-        found = opencv_pixels(points, K, D, bool(node.getNode("fisheye").real()))
-        np.testing.assert_allclose(found, camera.project(points)[0], atol=1e-6)
-        np.testing.assert_array_equal(node.getNode("camera_T_ref").mat(), calibration.camera_T_ref.a_T_b)
+@pytest.mark.parametrize("to", EXPORT_FORMATS)
+def test_every_format_from_the_command_line(to: str, kind: str, path: Path, tmp_path: Path) -> None:
+    """Held exactly or, with --nearest, nearly; in the frame of ref."""
+    out = file_of(tmp_path / "out", to)
+    ran = run("export", path, "--to", to, "-o", out)
+    exact = to in HOLD[kind]
+    if not exact:
+        assert ran.code == 1
+        assert ran.err.count("\n") == 1
+        assert "give --nearest to write that, or take --to numpy, which loses nothing" in ran.err
+        assert not out.exists()
+        ran = run("export", path, "--to", to, "-o", out, "--nearest")
+    assert ran.code == 0, ran.err
+    wrote, *lost = ran.out.splitlines()
+    assert wrote == f"wrote {out}"
+    assert bool(lost) is not exact
+    assert all(re.fullmatch(r"camera '\w+' as \w+: off by [\d.e-]+ px rms, [\d.e-]+ px at most", line) for line in lost)
+    before = read_calibration(path).cameras
+    again = read_rig(out, None).rig
+    assert {camera.name for camera in again.cameras} == set(before)
+    for camera in again.cameras:
+        np.testing.assert_allclose(camera.camera_T_ref, before[camera.name].camera_T_ref.a_T_b, atol=1e-12)
+        points = points_in(before[camera.name].camera)
+        off_px = np.abs(camera.camera.project(points)[0] - before[camera.name].camera.project(points)[0]).max()
+        assert off_px < (1e-9 if exact else 5.0)
 
 
-def test_numpy_loses_nothing(tmp_path):
-    result = calibrated("headset, board tracked")
-    export_calibration(result, tmp_path / "rig.npz", "numpy")
+@pytest.mark.parametrize("to", sorted(set(EXPORT_FORMATS) - {"numpy", "ros_bag"}))
+def test_every_file_says_how_it_was_made_and_what_ref_is(to: str, tmp_path: Path) -> None:
+    path, out = tmp_path / "calibration.json", file_of(tmp_path / "out", to)
+    write_calibration(path, calibrated("headset"))
+    assert run("export", path, "--to", to, "-o", out, "--nearest").code == 0
+    sha256 = hashlib.sha256(path.read_bytes()).hexdigest()
+    for file in [out] if out.is_file() else sorted(out.iterdir()):
+        text = file.read_text()
+        if text.count("\n") > 1:  # COLMAP wants files for the frames, images and points that there are none of
+            assert f"made by gtcal export, version {version('gtcal')} from calibration.json, SHA-256 {sha256}" in text
+            assert "ref is the tracked platform's body, as the mocap defines it; camera_T_ref takes coord" in text
+            assert "metres; camera frame x right, y down, z forward; " in text
+
+
+def test_the_launch_file_names_the_frames(kind: str, path: Path, tmp_path: Path) -> None:
+    assert run("export", path, "--to", "ros", "-o", tmp_path / "out", "--nearest").code == 0
+    launch = (tmp_path / "out" / "static_transforms.launch.xml").read_text()
+    parent = {"headset": "platform", "fixed": "mocap_world"}[kind]
+    for name in read_calibration(path).cameras:
+        assert f"--frame-id {parent} --child-frame-id {name}_optical_frame" in launch
+
+
+def test_numpy_loses_nothing(kind: str, path: Path, tmp_path: Path) -> None:
+    calibration = read_calibration(path)
+    export_calibration(calibration, tmp_path / "rig.npz", "numpy")
     with np.load(tmp_path / "rig.npz") as file:
+        np.testing.assert_array_equal(file["body_T_board"], calibration.body_T_board.a_T_b)
         for i, name in enumerate(file["names"]):
-            np.testing.assert_array_equal(file[f"theta_{name}"], result.cameras[str(name)].camera.theta)
-            np.testing.assert_array_equal(file["camera_T_ref"][i], result.cameras[str(name)].camera_T_ref.a_T_b)
+            expected = calibration.cameras[str(name)]
+            np.testing.assert_array_equal(file[f"theta_{name}"], expected.camera.theta)
+            np.testing.assert_array_equal(file["camera_T_ref"][i], expected.camera_T_ref.a_T_b)
 
 
-def test_a_lens_that_the_format_lacks_is_refused_with_its_loss(tmp_path):
-    result = calibrated("headset, board tracked")
-    with pytest.raises(GtcalError, match=r"can't express fisheye62 .* px rms"):
-        export_calibration(result, tmp_path / "rig.yaml", "opencv")
-    assert not list(tmp_path.iterdir())
-
-
-def test_the_nearest_lens_is_as_near_as_it_says(tmp_path):
-    result = calibrated("headset, board tracked")
-    export_calibration(result, tmp_path / "rig.yaml", "opencv", nearest=True)
+def test_the_nearest_lens_is_as_near_as_the_file_says(tmp_path: Path) -> None:
+    calibration = calibrated("headset")
+    export_calibration(calibration, tmp_path / "rig.yaml", "opencv", nearest=True)
     storage = cv2.FileStorage(str(tmp_path / "rig.yaml"), cv2.FILE_STORAGE_READ)
-    for i, calibration in enumerate(result.cameras.values()):
-        node, points = storage.getNode(f"cam{i}"), points_in(calibration.camera)
-        K, D = node.getNode("camera_matrix").mat(), node.getNode("distortion_coefficients").mat()
-        off = np.linalg.norm(opencv_pixels(points, K, D, True) - calibration.camera.project(points)[0], axis=1)
-        assert 0.0 < off.max() <= 1.05 * node.getNode("lens_off_at_most_px").real()
+    for i, calibrated_camera in enumerate(calibration.cameras.values()):
+        camera, node = calibrated_camera.camera, storage.getNode(f"cam{i}")
+        points = points_in(camera, 0.8)
+        points = points[points[:, 2] > 0]
+        K, D = node.getNode("camera_matrix").mat(), node.getNode("distortion_coefficients").mat().reshape(4)
+        found = cv2.fisheye.projectPoints(points[:, None], np.zeros(3), np.zeros(3), K, D)[0][:, 0]
+        off_px = np.linalg.norm(found - camera.project(points)[0], axis=1)
+        assert 0.0 < off_px.max() <= 1.05 * node.getNode("lens_off_at_most_px").real()
 
 
-def test_kalibrs_chain_leads_back_to_every_camera(tmp_path):
-    yaml = pytest.importorskip("yaml")
-    result = calibrated("headset, board tracked")
-    write_calibration(tmp_path / "calibration.json", result)
-    arguments = [str(tmp_path / "calibration.json"), "--to", "kalibr", "-o", str(tmp_path / "chain.yaml"), "--nearest"]
-    assert main(["export", *arguments]) == 0
+def test_kalibrs_chain_leads_back_to_every_camera(tmp_path: Path) -> None:
+    calibration = calibrated("headset")
+    export_calibration(calibration, tmp_path / "chain.yaml", "kalibr", nearest=True)
     chain = yaml.safe_load((tmp_path / "chain.yaml").read_text())
-    camera_T_ref = None
-    for i, calibration in enumerate(result.cameras.values()):
-        entry = chain[f"cam{i}"]
-        step = np.array(entry["camera_T_ref"] if i == 0 else entry["T_cn_cnm1"])
-        camera_T_ref = step if camera_T_ref is None else step @ camera_T_ref
-        np.testing.assert_allclose(camera_T_ref, calibration.camera_T_ref.a_T_b, atol=1e-9)
-        assert entry["distortion_model"] == "equidistant"
+    camera_T_ref = np.array(chain["cam0"]["camera_T_ref"])
+    for i, calibrated_camera in enumerate(calibration.cameras.values()):
+        camera_T_ref = np.array(chain[f"cam{i}"]["T_cn_cnm1"]) @ camera_T_ref if i else camera_T_ref
+        np.testing.assert_allclose(camera_T_ref, calibrated_camera.camera_T_ref.a_T_b, atol=1e-9)
+
+
+def test_a_calibration_is_a_camera_file_itself(path: Path) -> None:
+    read = read_rig(path, None)
+    assert read.format_name == "gtcal"
+    for name, camera in read_calibration(path).cameras.items():
+        found = next(other for other in read.rig.cameras if other.name == name)
+        np.testing.assert_array_equal(found.camera.theta, camera.camera.theta)
+        np.testing.assert_array_equal(found.camera_T_ref, camera.camera_T_ref.a_T_b)
+
+
+def test_the_command_line_offers_every_format() -> None:
+    assert get_args(Format) == EXPORT_FORMATS
+
+
+def test_what_goes_wrong_ends_in_one_line_with_nothing_written(tmp_path: Path) -> None:
+    write_calibration(tmp_path / "calibration.json", calibrated("fixed"))
+    with pytest.raises(GtcalError, match="'calibr' is no format of an export; formats: kalibr, opencv"):
+        export_calibration(calibrated("fixed"), tmp_path / "x", "calibr")
+    whole = (tmp_path / "calibration.json").read_text()
+    (tmp_path / "cut.json").write_text(whole[: len(whole) // 2])
+    before = files_in(tmp_path)
+    for source, message in (("cut.json", "is not valid JSON"), ("no.json", "can't be read")):
+        for to in ("kalibr", "ros", "ros_bag"):
+            ran = run("export", tmp_path / source, "--to", to, "-o", tmp_path / "out")
+            assert (ran.code, ran.err.count("\n")) == (1, 1)
+            assert message in ran.err
+    for to in ("colmap", "ros", "ros_bag", "opencv"):
+        ran = run("export", tmp_path / "calibration.json", "--to", to, "-o", tmp_path / "cut.json" / "out")
+        assert (ran.code, ran.err.count("\n")) == (1, 1)
+        assert "can't be written" in ran.err
+    assert files_in(tmp_path) == before
+    assert run("export", tmp_path / "calibration.json", "--to", "calibr", "-o", tmp_path / "out").code == 2

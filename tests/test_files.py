@@ -3,7 +3,7 @@ from pathlib import Path
 import pytest
 
 from gtcal.errors import GtcalError
-from gtcal.files import fingerprint, write_aside, write_text
+from gtcal.files import fingerprint, write_aside, write_folder, write_text
 
 
 def test_a_failure_halfway_leaves_the_old_file_and_nothing_else(tmp_path: Path) -> None:
@@ -46,3 +46,16 @@ def test_fingerprint_is_sha256_and_tells_folders_apart_by_name_and_content(tmp_p
     assert len({before, renamed, fingerprint(tmp_path).sha256}) == 3
     with pytest.raises(GtcalError, match="absent: can't be read"):
         fingerprint(tmp_path / "absent")
+
+
+def test_a_folder_is_written_whole_or_not_at_all(tmp_path: Path) -> None:
+    write_folder(tmp_path / "new" / "rig", {"a.txt": "a", "b.txt": "b"})
+    (tmp_path / "new" / "rig" / "kept.txt").write_text("kept")
+    write_folder(tmp_path / "new" / "rig", {"a.txt": "again"})
+    texts = {file.name: file.read_text() for file in (tmp_path / "new" / "rig").iterdir()}
+    assert texts == {"a.txt": "again", "b.txt": "b", "kept.txt": "kept"}
+    with pytest.raises(GtcalError, match="can't be written"):
+        write_folder(tmp_path / "new" / "other", {"a.txt": "a", "b" * 300: "b"})
+    with pytest.raises(GtcalError, match="can't be written"):
+        write_folder(tmp_path / "new" / "rig" / "a.txt", {"a.txt": "a"})
+    assert {path.name for path in (tmp_path / "new").iterdir()} == {"rig"}

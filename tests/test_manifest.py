@@ -213,3 +213,48 @@ def test_the_schema_names_fields_choices_and_what_each_capture_needs() -> None:
     }
     for entry in ("CameraEntry", "TrajectoryEntry"):
         assert all("description" in field for field in schema["$defs"][entry]["properties"].values())
+
+
+def from_a_file(**changes: Any) -> dict[str, Any]:
+    """The valid manifest with the lens of cam0 in a camera file."""
+    manifest = valid()
+    manifest["cameras"]["cam0"] = {"intrinsics": {"file": "chain.yaml"}, "images": "cam0"} | changes
+    return manifest
+
+
+def test_a_file_of_intrinsics_stands_for_model_size_and_parameters(tmp_path: Path) -> None:
+    entry = read_manifest(written(tmp_path, from_a_file())).cameras["cam0"]
+    assert (entry.model, entry.image_size_px, entry.intrinsics.file) == (None, None, "chain.yaml")
+    stated = read_manifest(written(tmp_path, from_a_file(model="fisheye62", image_size_px=[1, 2])))
+    write_manifest(tmp_path / "again.yaml", stated)
+    assert read_manifest(tmp_path / "again.yaml") == stated
+
+
+@pytest.mark.parametrize(
+    ("manifest", "message"),
+    [
+        (from_a_file(parameters={"fx": 1.0}), r"cameras\.cam0: has both 'intrinsics' and 'parameters'; give one"),
+        (from_a_file(intrinsics={}), r"cameras\.cam0\.intrinsics\.file: is missing; it says: The file"),
+        (
+            from_a_file(intrinsics={"file": "x", "formt": "kalibr"}),
+            r"intrinsics\.formt: is not a field; did you mean 'format'\?; fields: file, format, camera",
+        ),
+        (
+            from_a_file(intrinsics={"file": "x", "format": "calibr"}),
+            r"intrinsics\.format: 'calibr' is not a format of camera files; did you mean 'kalibr'\?",
+        ),
+        (from_a_file(intrinsics="chain.yaml"), r"cameras\.cam0\.intrinsics: is 'chain.yaml'; expected"),
+        (changed("cameras.cam0.image_size_px"), r"cameras\.cam0\.image_size_px: is missing; it says: Width and height"),
+    ],
+)
+def test_a_wrong_file_of_intrinsics_is_named(manifest: dict[str, Any], message: str, tmp_path: Path) -> None:
+    with pytest.raises(GtcalError, match=message) as caught:
+        read_manifest(written(tmp_path, manifest))
+    assert "\n" not in str(caught.value)
+
+
+def test_the_schema_asks_for_a_lens_or_its_file() -> None:
+    schema = json.loads(json.dumps(manifest_schema()))["$defs"]
+    assert schema["CameraEntry"]["anyOf"] == [{"required": ["model", "image_size_px"]}, {"required": ["intrinsics"]}]
+    assert "kalibr" in schema["IntrinsicsEntry"]["properties"]["format"]["enum"]
+    assert all("description" in field for field in schema["IntrinsicsEntry"]["properties"].values())

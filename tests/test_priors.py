@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,6 +17,8 @@ from scipy.spatial.transform import Rotation
 from factors import PoseMeasurementFactor
 from factors.rigid import inverse
 from gtcal import CalibrationOptions, GtcalError, calibrate_observations, read_calibration, synchronise
+from gtcal.camera_files.formats import write_rig
+from gtcal.camera_files.rig import Rig, RigCamera
 from gtcal.estimation.priors import PosePrior, Priors
 from gtcal.estimation.priors_file import read_priors
 from gtcal.results.covariance import CLUSTERED, ERRORS_IN_VARIABLES, NAIVE
@@ -194,3 +197,53 @@ def test_the_command_takes_it_and_keeps_it(tmp_path: Path) -> None:
     kept = read_calibration(tmp_path / "c.json").provenance.options["priors"]
     assert kept["body_T_board"]["sigma_m"] == [0.001] * 3
     assert replace(CalibrationOptions()).priors.document()["body_T_board"] is None
+
+
+# A rig in a camera file
+
+
+def rig_file(folder: Path, format_name: str) -> Path:
+    """A file of priors beside the true rig in a camera file of this format."""
+    truth, cameras = simulated(HEADSET).truth, simulated(HEADSET).recording.cameras
+    rig = Rig(tuple(RigCamera(cameras[name], pose) for name, pose in truth.camera_T_ref.items()), "ref", "the headset")
+    write_rig(rig, folder / "rig.json", format_name, ["a test"])
+    stated = {"file": "rig.json", "sigma_mm": 0.2, "sigma_deg": 0.05}
+    (folder / "p.yaml").write_text(json.dumps({"gtcal_priors": 1, "rig": stated}))
+    return folder / "p.yaml"
+
+
+@pytest.mark.parametrize("format_name", ["hot3d", "umetrack"])
+def test_a_camera_file_says_where_cameras_are_to_each_other(format_name: str, tmp_path: Path) -> None:
+    camera_T_ref = simulated(HEADSET).truth.camera_T_ref
+    priors = read_priors(rig_file(tmp_path, format_name)).camera_a_T_camera_b
+    first, *others = camera_T_ref
+    assert list(priors) == [(first, other) for other in others]
+    for (a, b), prior in priors.items():
+        np.testing.assert_allclose(prior.a_T_b, camera_T_ref[a] @ inverse(camera_T_ref[b]), atol=1e-12)
+        assert (prior.sigma_m, prior.sigma_rad) == ((0.0002,) * 3, pytest.approx(np.deg2rad([0.05] * 3).tolist()))
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "message"),
+    [
+        ("rig.json", "no.json", "rig: .*no.json: there is no such file"),
+        ('"rig.json"', '"rig.json", "format": "kalibr"', r"rig: .*rig.json: is \[.* expected named fields"),
+        ('"sigma_mm": 0.2, ', "", "rig.sigma_mm: field required"),
+        ('"sigma_mm": 0.2', '"sigma_mm": 0', "rig: sigma_m: .* no positive number"),
+        (
+            '"rig":',
+            '"between_cameras": [{"camera": "front_left", "seen_from": "side_left", "position_mm": [0, 0, 0], '
+            '"quat_wxyz": [1, 0, 0, 0], "sigma_deg": 0.1}], "rig":',
+            "rig: it and between_cameras both relate 'front_left' to 'side_left'; keep one",
+        ),
+    ],
+)
+def test_a_wrong_rig_is_told_in_one_line(tmp_path: Path, before: str, after: str, message: str) -> None:
+    path = rig_file(tmp_path, "hot3d")
+    text = path.read_text()
+    assert before in text
+    path.write_text(text.replace(before, after, 1))
+    with pytest.raises(GtcalError, match=message) as caught:
+        read_priors(path)
+    assert str(caught.value).startswith(str(path))
+    assert "\n" not in str(caught.value)

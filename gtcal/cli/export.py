@@ -7,24 +7,36 @@ from typing import Annotated, Literal
 
 import tyro
 
+Format = Literal[
+    "kalibr", "opencv", "ros", "ros_bag", "colmap", "aria", "hot3d", "umetrack", "anipose", "pose2sim", "numpy"
+]
+
 
 def export(
     calibration: tyro.conf.Positional[Path],
     *,
-    to: Literal["kalibr", "opencv", "numpy"],
+    to: Format,
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"])],
     nearest: bool = False,
 ) -> None:
-    """Write a calibration as a file of another tool: Kalibr's camchain, OpenCV's FileStorage (YAML), NumPy's npz.
+    """Write a calibration as a file of another tool.
+
+    kalibr: camchain YAML. opencv: FileStorage YAML. ros: a folder with camera_info YAML for each camera and a ROS 2
+    launch file of static transforms. ros_bag: a ROS 2 bag of the same as messages. colmap: a folder with
+    rig_config.json and the sparse model's text files. aria: Project Aria's device JSON. hot3d: camera_models.json.
+    umetrack: its JSON. anipose, pose2sim: their TOML. numpy: npz, which loses nothing.
 
     Args:
         calibration: calibration.json, as gtcal calibrate writes it.
         to: The format.
-        output: File to write.
+        output: File to write; for ros, ros_bag and colmap a folder.
         nearest: Where the format can't express a lens, write the nearest that it can in place of refusing.
     """
-    from gtcal.camera_files import export_calibration
+    from gtcal.camera_files.export import export_calibration
+    from gtcal.files import fingerprint
     from gtcal.results.calibration_file import read_calibration
 
-    export_calibration(read_calibration(calibration), output, to, nearest=nearest)
-    print(f"wrote {output}")
+    lost = export_calibration(
+        read_calibration(calibration), output, to, nearest=nearest, source=fingerprint(calibration)
+    )
+    print("\n".join([f"wrote {output}", *lost]))

@@ -34,6 +34,13 @@ class TrajectoryReader(Protocol):
     ) -> Trajectory: ...
 
 
+class TrajectoryWriter(Protocol):
+    """Writes a trajectory with every digit, whole or not at all. Raises GtcalError where it can't be written."""
+
+    def __call__(self, path: Path, trajectory: Trajectory) -> None: ...
+
+
+TRAJECTORY_WRITERS: dict[str, TrajectoryWriter] = {"euroc_csv": write_euroc_csv, "tum": write_tum}
 TRAJECTORY_READERS: dict[str, TrajectoryReader] = {
     "euroc_csv": read_euroc_csv,
     "tum": read_tum,

@@ -2,20 +2,29 @@
 
 from __future__ import annotations
 
-import json
-import re
-from collections.abc import Hashable, Iterable
+from collections.abc import Iterable
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
 import yaml
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PositiveInt, ValidationError, WithJsonSchema
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Field,
+    PositiveInt,
+    ValidationError,
+    ValidationInfo,
+    WithJsonSchema,
+)
 from pydantic_core import ErrorDetails, PydanticCustomError
 
 from factors import CAMERA_MODELS
 from gtcal.board import board_manifest_schema
 from gtcal.camera import StampedRow
+from gtcal.camera_files.formats import CAMERA_FILE_READERS
+from gtcal.documents import load_document
 from gtcal.errors import GtcalError
 from gtcal.files import write_text
 from gtcal.readers import TRAJECTORY_READERS, BodySelection
@@ -50,6 +59,12 @@ LAYOUT_DESCRIPTION = (
     "given here, are taken from there."
 )
 CaptureName = Annotated[str, *_choice("a capture kind", [kind.value for kind in Capture])]
+CameraFileFormat = Annotated[str, *_choice("a format of camera files", CAMERA_FILE_READERS)]
+
+
+# Left out, not null: None is how Python says it, and no value of the manifest.
+_CAMERA_MODEL_SCHEMA = _choice("a camera model", CAMERA_MODELS)[1]
+_CAMERA_FILE_SCHEMA = _choice("a format of camera files", CAMERA_FILE_READERS)[1]
 
 
 class Entry(BaseModel):
@@ -71,12 +86,48 @@ class ShutterEntry(Entry):
     stamped_row: StampedRow = Field(description="The row at whose exposure the image is stamped.")
 
 
+class IntrinsicsEntry(Entry):
+    """A camera's lens in a file of another tool, and what that leaves unsaid."""
+
+    file: str = Field(description="The file (of ros, ros_bag and colmap also the folder), relative to the manifest.")
+    format: Annotated[CameraFileFormat | None, _CAMERA_FILE_SCHEMA] = Field(
+        default=None, description="The format of the file. Needed where the file doesn't tell."
+    )
+    camera: str | None = Field(
+        default=None,
+        description="The camera's name in the file. Needed where it holds more than one, and none of this name.",
+    )
+
+
+def _unless_in_a_file(value: Any, info: ValidationInfo) -> Any:
+    """The value; missing, if neither it nor a file of intrinsics is given."""
+    if value is None and info.data.get("intrinsics") is None:
+        described = CameraEntry.model_fields[str(info.field_name)].description
+        raise PydanticCustomError("choice", "{message}", {"message": f"is missing; it says: {described}"})
+    return value
+
+
 class CameraEntry(Entry):
     """One camera, and where its images or detections are."""
 
-    model: CameraModelName = Field(description="The camera model.")
-    image_size_px: list[PositiveInt] = Field(
-        min_length=2, max_length=2, description="Width and height of the images in pixels."
+    model_config = ConfigDict(
+        json_schema_extra={"anyOf": [{"required": ["model", "image_size_px"]}, {"required": ["intrinsics"]}]}
+    )
+
+    intrinsics: IntrinsicsEntry | None = Field(
+        default=None, description="The lens in a file of another tool, in place of model, image_size_px and parameters."
+    )
+    model: Annotated[CameraModelName | None, _CAMERA_MODEL_SCHEMA, AfterValidator(_unless_in_a_file)] = Field(
+        default=None,
+        validate_default=True,
+        description="The camera model. Left out where a file of intrinsics says it.",
+    )
+    image_size_px: Annotated[
+        Annotated[list[PositiveInt], Field(min_length=2, max_length=2)] | None, AfterValidator(_unless_in_a_file)
+    ] = Field(
+        default=None,
+        validate_default=True,
+        description="Width and height of the images in pixels. Left out where a file of intrinsics says it.",
     )
     parameters: dict[str, float] | None = Field(
         default=None,
@@ -262,7 +313,7 @@ def load_fields(path: Path) -> dict[str, Any]:
     """The fields of a manifest file, unchecked, with those that its layout stands for.
 
     Raises GtcalError where it can't be read, is no YAML or JSON, or holds no fields."""
-    data = _load(path)
+    data = load_document(path)
     if not isinstance(data, dict):
         raise GtcalError(f"{path}: is no manifest; expected fields such as 'gtcal_recording: 1'")
     check_answered(path, data)
@@ -303,6 +354,8 @@ def check_sources(cameras: dict[str, CameraEntry]) -> None:
         if len(sources) > 1:
             raise GtcalError(f"{where}: has {' and '.join(map(repr, sources))}; its images come from one of them")
         _check_source_fields(where, camera, sources)
+        if camera.intrinsics is not None and camera.parameters is not None:
+            raise GtcalError(f"{where}: has both 'intrinsics' and 'parameters'; give one")
 
 
 def _check_source_fields(where: str, camera: CameraEntry, sources: tuple[str, ...]) -> None:
@@ -338,69 +391,6 @@ def _bodies_schema(capture: Capture) -> dict[str, Any]:
     }
 
 
-def _load(path: Path) -> Any:
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except OSError as error:
-        raise GtcalError(f"{path}: can't be read: {error.strerror}") from error
-    except UnicodeDecodeError:
-        raise GtcalError(f"{path}: is not UTF-8 text") from None
-    return _load_json(path, text) if path.suffix.lower() == ".json" else _load_yaml(path, text)
-
-
-def _load_json(path: Path, text: str) -> Any:
-    try:
-        return json.loads(text, object_pairs_hook=_without_duplicates)
-    except json.JSONDecodeError as error:
-        raise GtcalError(f"{path}:{error.lineno}: is not valid JSON: {error.msg}") from None
-    except ValueError as error:
-        raise GtcalError(f"{path}: {error}") from None
-
-
-def _without_duplicates(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    names = [name for name, _ in pairs]
-    for name in names:
-        if names.count(name) > 1:
-            raise ValueError(f"the field {name!r} stands twice in the same place; keep one")
-    return dict(pairs)
-
-
-def _load_yaml(path: Path, text: str) -> Any:
-    try:
-        return yaml.load(text, _Loader)
-    except yaml.MarkedYAMLError as error:
-        line = error.problem_mark.line + 1 if error.problem_mark else 1
-        raise GtcalError(f"{path}:{line}: is not valid YAML: {error.problem}") from None
-    except yaml.YAMLError as error:
-        raise GtcalError(f"{path}: is not valid YAML: {' '.join(str(error).split())}") from None
-
-
-class _Loader(yaml.SafeLoader):
-    """YAML as people mean it: a field that stands twice is an error, keys are text, 1e-3 is a number."""
-
-    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
-        seen = set()
-        for key_node, _ in node.value:
-            if key_node.tag == "tag:yaml.org,2002:merge":
-                continue
-            key = self.construct_object(key_node, deep=True)
-            if not isinstance(key, str):
-                problem = f"the name {key_node.value!r} is no text; put it in quotes"
-                raise yaml.constructor.ConstructorError(None, None, problem, key_node.start_mark)
-            if key in seen:
-                problem = f"the field {key!r} stands twice in the same place; keep one"
-                raise yaml.constructor.ConstructorError(None, None, problem, key_node.start_mark)
-            seen.add(key)
-        return super().construct_mapping(node, deep)
-
-
-_Loader.add_implicit_resolver(
-    "tag:yaml.org,2002:float",
-    re.compile(r"^[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+$"),
-    list("-+.0123456789"),
-)
-
-
 def _explain(error: ValidationError, kind: type[Entry]) -> str:
     """The first error in one line: an unknown field before a missing one, since a misspelt field is both."""
     errors = sorted(error.errors(), key=lambda e: e["type"] != "extra_forbidden")
@@ -430,4 +420,5 @@ def _entry_at(loc: tuple[int | str, ...], manifest: type[Entry]) -> type[Entry]:
         return manifest
     if loc[0] != "cameras":
         return TrajectoryEntry
-    return ShutterEntry if len(loc) > 3 and loc[2] == "rolling_shutter" else CameraEntry
+    inner: dict[str, type[Entry]] = {"rolling_shutter": ShutterEntry, "intrinsics": IntrinsicsEntry}
+    return inner.get(str(loc[2]), CameraEntry) if len(loc) > 3 else CameraEntry

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -11,6 +11,8 @@ import numpy as np
 from factors import CAMERA_MODELS
 from gtcal.board import Board, board_from_manifest
 from gtcal.camera import Camera, RollingShutter
+from gtcal.camera_files.formats import read_rig
+from gtcal.camera_files.rig import ReadOptions, Rig, RigCamera, agreeing
 from gtcal.errors import GtcalError
 from gtcal.files import InputFile, fingerprint
 from gtcal.readers import TRAJECTORY_READERS, write_euroc_csv
@@ -22,6 +24,7 @@ from gtcal.recordings.images import Images, image_folder, image_list, shifted
 from gtcal.recordings.manifest import (
     MANIFEST_NAMES,
     CameraEntry,
+    IntrinsicsEntry,
     Manifest,
     ShutterEntry,
     TrajectoryEntry,
@@ -170,6 +173,10 @@ class Loader:
             raise self.error("board", str(error)) from None
 
     def camera(self, name: str, entry: CameraEntry) -> Camera:
+        if entry.intrinsics is not None:
+            return self._camera_from_file(name, entry, entry.intrinsics)
+        assert entry.model is not None  # the manifest's own check, as of the size
+        assert entry.image_size_px is not None
         width, height = entry.image_size_px
         model = CAMERA_MODELS[entry.model]
         shutter = _shutter(entry.rolling_shutter)
@@ -180,6 +187,37 @@ class Loader:
         self._check_parameters(where, entry.parameters, width, height)
         theta = np.array([entry.parameters[parameter] for parameter in model.parameter_names])
         return Camera(name, model, theta, width, height, shutter)
+
+    def _camera_from_file(self, name: str, entry: CameraEntry, intrinsics: IntrinsicsEntry) -> Camera:
+        where = f"cameras.{name}.intrinsics"
+        path = self._existing(f"{where}.file", intrinsics.file)
+        size = None if entry.image_size_px is None else (entry.image_size_px[0], entry.image_size_px[1])
+        options = ReadOptions(model=entry.model, image_size_px=size)
+        try:
+            rig = read_rig(path, intrinsics.format, options).rig
+            camera = agreeing(path, self._chosen(name, rig, intrinsics), options).camera
+        except GtcalError as error:
+            raise self.error(where, str(error)) from None
+        self._use(path)
+        parameters = dict(zip(camera.model.parameter_names, camera.theta.tolist(), strict=True))
+        self._check_parameters(where, parameters, camera.image_width_px, camera.image_height_px)
+        shutter = _shutter(entry.rolling_shutter) or camera.rolling_shutter
+        return replace(camera, name=name, rolling_shutter=shutter)
+
+    def _chosen(self, name: str, rig: Rig, intrinsics: IntrinsicsEntry) -> RigCamera:
+        """The camera that the manifest names, else that of its own name, else the only one."""
+        named = {camera.name: camera for camera in rig.cameras}
+        listed = ", ".join(named)
+        if intrinsics.camera is not None and intrinsics.camera not in named:
+            raise GtcalError(f"there is no camera {intrinsics.camera!r} in {intrinsics.file}; cameras: {listed}")
+        if intrinsics.camera is None and name not in named and len(named) > 1:
+            raise GtcalError(f"{intrinsics.file} holds several cameras; name one with 'camera': {listed}")
+        return named.get(intrinsics.camera or name) or next(iter(named.values()))
+
+    def _use(self, path: Path) -> None:
+        """Remember a file, once."""
+        if path not in self.used:
+            self.used.append(path)
 
     def detections(self, name: str, given: str, board: Cornered, camera: Camera) -> CameraDetections:
         path = self._existing(f"cameras.{name}.detections", given)
@@ -267,7 +305,7 @@ class Loader:
         return GtcalError(f"{self.manifest_path}: {where}: {message}")
 
 
-def notes_of(images: dict[str, ImageSequence], trajectories: dict[str, Trajectory]) -> tuple[str, ...]:
+def notes_of(images: dict[str, Images], trajectories: dict[str, Trajectory]) -> tuple[str, ...]:
     """What the readers of images and trajectories have to say; the same only once."""
     notes = [note for sequence in images.values() for note in sequence.notes]
     notes += [note for trajectory in trajectories.values() for note in trajectory.notes]

@@ -1,0 +1,103 @@
+"""Files of nested fields, YAML, JSON and TOML, read as people mean them; where damaged, told in one line."""
+
+from __future__ import annotations
+
+import json
+import re
+import tomllib
+from collections.abc import Hashable
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from gtcal.errors import GtcalError
+
+
+def load_document(path: Path) -> Any:
+    """What a file says: JSON (also the single line of a .jsonl) or TOML by its suffix, else YAML.
+
+    Raises GtcalError naming the file, and the line where there is one, for a file that can't be read, is not valid, or
+    holds a field twice."""
+    return parse_document(path, read_text(path))
+
+
+def parse_document(path: Path, text: str) -> Any:
+    """``load_document`` of a file whose text is at hand."""
+    suffix = path.suffix.lower()
+    if suffix == ".toml":
+        return load_toml(path, text)
+    if suffix == ".jsonl" and (n_lines := len(text.split("\n{"))) > 1:
+        raise GtcalError(f"{path}: holds {n_lines} documents, a line each; keep the one that is meant")
+    return _load_json(path, text) if suffix in (".json", ".jsonl") else _load_yaml(path, text)
+
+
+def read_text(path: Path) -> str:
+    """A text file in UTF-8, with or without a byte order mark. Raises GtcalError where it is none."""
+    try:
+        return path.read_text(encoding="utf-8-sig")
+    except OSError as error:
+        raise GtcalError(f"{path}: can't be read: {error.strerror}") from error
+    except UnicodeDecodeError:
+        raise GtcalError(f"{path}: is not UTF-8 text") from None
+
+
+def load_toml(path: Path, text: str) -> Any:
+    """The fields of a text in TOML. Raises GtcalError naming the file where it is not valid."""
+    try:
+        return tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise GtcalError(f"{path}: is not valid TOML: {error}") from None
+
+
+def _load_json(path: Path, text: str) -> Any:
+    try:
+        return json.loads(text, object_pairs_hook=_without_duplicates)
+    except json.JSONDecodeError as error:
+        raise GtcalError(f"{path}:{error.lineno}: is not valid JSON: {error.msg}") from None
+    except (ValueError, RecursionError) as error:
+        raise GtcalError(f"{path}: {error}") from None
+
+
+def _without_duplicates(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    names = [name for name, _ in pairs]
+    for name in names:
+        if names.count(name) > 1:
+            raise ValueError(f"the field {name!r} stands twice in the same place; keep one")
+    return dict(pairs)
+
+
+def _load_yaml(path: Path, text: str) -> Any:
+    try:
+        return yaml.load(text, _Loader)
+    except yaml.MarkedYAMLError as error:
+        line = error.problem_mark.line + 1 if error.problem_mark else 1
+        raise GtcalError(f"{path}:{line}: is not valid YAML: {error.problem}") from None
+    except (yaml.YAMLError, ValueError, RecursionError) as error:
+        raise GtcalError(f"{path}: is not valid YAML: {' '.join(str(error).split())}") from None
+
+
+class _Loader(yaml.SafeLoader):
+    """YAML as people mean it: a field that stands twice is an error, keys are text, 1e-3 is a number."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
+        seen = set()
+        for key_node, _ in node.value:
+            if key_node.tag == "tag:yaml.org,2002:merge":
+                continue
+            key = self.construct_object(key_node, deep=True)
+            if not isinstance(key, str):
+                problem = f"the name {key_node.value!r} is no text; put it in quotes"
+                raise yaml.constructor.ConstructorError(None, None, problem, key_node.start_mark)
+            if key in seen:
+                problem = f"the field {key!r} stands twice in the same place; keep one"
+                raise yaml.constructor.ConstructorError(None, None, problem, key_node.start_mark)
+            seen.add(key)
+        return super().construct_mapping(node, deep)
+
+
+_Loader.add_implicit_resolver(
+    "tag:yaml.org,2002:float",
+    re.compile(r"^[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+$"),
+    list("-+.0123456789"),
+)
