@@ -2,19 +2,14 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
-from gtcal import readers
 from gtcal.errors import GtcalError
-from gtcal.readers import TRAJECTORY_READERS, PoseConventions
+from gtcal.readers import MocapSummary, inspect_mocap
 from gtcal.recordings.bag_images import BAG_SUFFIXES
 
 MOCAP_SUFFIXES = (".csv", ".tsv", ".txt", ".tum", ".c3d", ".trc", *BAG_SUFFIXES)
-# What stands in for what a file leaves open, to look at the rest of it.
-_STAND_INS: dict[str, Any] = {"quaternion": "wxyz", "length_unit": "m", "time_unit": "ns"}
 
 
 @dataclass(frozen=True)
@@ -36,14 +31,13 @@ class MocapBody:
 
 def mocap_bodies(path: Path) -> tuple[MocapBody, ...]:
     """The tracked bodies of a file; none where it is no file of a mocap, or one that can't be read."""
-    inspect = getattr(readers, "inspect_mocap", None)
     try:
-        return _inspected(inspect(path)) if inspect is not None else _tried(path)
+        return _bodies(inspect_mocap(path))
     except GtcalError:
         return ()
 
 
-def _inspected(summary: Any) -> tuple[MocapBody, ...]:
+def _bodies(summary: MocapSummary) -> tuple[MocapBody, ...]:
     alone = len(summary.bodies) == 1
     span_ns = None
     if summary.start_ns is not None and summary.duration_s is not None and "time_unit" not in summary.open_fields:
@@ -60,34 +54,6 @@ def _inspected(summary: Any) -> tuple[MocapBody, ...]:
         )
         for body in summary.bodies
     )
-
-
-def _tried(path: Path) -> tuple[MocapBody, ...]:
-    """By whichever of the readers takes the file; without bags and other binary files."""
-    if path.is_dir() or path.suffix.lower() in (".c3d", *BAG_SUFFIXES):
-        return ()
-    for name in sorted(TRAJECTORY_READERS, key=lambda name: name != "tum"):  # a CSV is no TUM text, but the other way
-        found = _read(path, name)
-        if found is not None:
-            return (found,)
-    return ()
-
-
-def _read(path: Path, format_name: str) -> MocapBody | None:
-    open_fields: list[str] = []
-    while True:
-        declared = PoseConventions(**{name: _STAND_INS[name] for name in open_fields})
-        try:
-            trajectory = TRAJECTORY_READERS[format_name](path, "body", declared)
-        except GtcalError as error:
-            unstated = re.search(r"doesn't state its (\w+)", str(error))
-            if unstated is None or unstated[1] in open_fields:
-                return None
-            open_fields.append(unstated[1])
-            continue
-        stamps_ns = trajectory.stamps_ns
-        span_ns = None if "time_unit" in open_fields else (int(stamps_ns[0]), int(stamps_ns[-1]))
-        return MocapBody(path, format_name, None, _by_file(path), tuple(open_fields), len(stamps_ns), span_ns)
 
 
 def _by_file(path: Path) -> str:
