@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -247,3 +248,33 @@ def test_a_wrong_rig_is_told_in_one_line(tmp_path: Path, before: str, after: str
         read_priors(path)
     assert str(caught.value).startswith(str(path))
     assert "\n" not in str(caught.value)
+
+
+def test_the_readmes_file_is_read_and_a_rigs_file_is_used(tmp_path: Path) -> None:
+    readme = (Path(__file__).resolve().parents[1] / "README.md").read_text(encoding="utf-8")
+    block = re.search(r"<!-- priors -->\n```yaml\n(.*?)```", readme, re.DOTALL)
+    assert block
+    rig_file(tmp_path, "hot3d")
+    text = block[1].replace("factory_rig.json", "rig.json").replace("cam0", "front_left")
+    (tmp_path / "p.yaml").write_text(text)
+    found = read_priors(tmp_path / "p.yaml")
+    assert found.body_T_board.sigma_m == (0.002,) * 3
+    assert len(found.camera_a_T_camera_b) == 3
+    surely = {
+        pair: replace(prior, sigma_m=(1e-5,) * 3, sigma_rad=(1e-5,) * 3)
+        for pair, prior in found.camera_a_T_camera_b.items()
+    }
+    observations = synchronise(simulated(HEADSET, frames=12, mocap=MocapNoise(0.5, 0.05)).recording)
+    without, with_rig = (
+        calibrate_observations(observations, CalibrationOptions(priors=priors, mocap="exact"))
+        for priors in (Priors(), Priors(camera_a_T_camera_b=surely))
+    )
+    truth = simulated(HEADSET).truth.camera_T_ref
+    apart_mm = [
+        pose_errors(
+            result.cameras["side_left"].camera_T_ref.a_T_b @ inverse(result.cameras["side_right"].camera_T_ref.a_T_b),
+            truth["side_left"] @ inverse(truth["side_right"]),
+        )[0]
+        for result in (without, with_rig)
+    ]
+    assert apart_mm[1] < 0.5 * apart_mm[0]
