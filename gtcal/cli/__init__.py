@@ -14,6 +14,7 @@ COMMANDS = {
     "demo": "render small recordings, calibrate, verify, and compare with the truth",
     "board": "draw a calibration board to scale",
     "calibrate": "find every camera's extrinsic and the board-to-body transform from a recording",
+    "doctor": "find out what is wrong with a recording, and which lines of its manifest to change",
     "uncertainty": "say how sure a calibration is: in mm, deg and px, by kind, and where it is weak",
     "compare": "calibrate a recording by other methods too, and compare",
     "selfcheck": "check a calibration against its own recording: halves, frames held out, chain and PnP",
