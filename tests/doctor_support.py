@@ -87,8 +87,14 @@ def swapped_cameras(recording: Recording, one: str, other: str) -> Recording:
     return replace(recording, detections=detections | {one: detections[other], other: detections[one]})
 
 
-def stamps(recording: Recording, change: Callable[[np.ndarray], np.ndarray], *, bodies: bool) -> Recording:
-    """With the time stamps of the bodies, or of the cameras, changed."""
+def stamps(
+    recording: Recording,
+    change: Callable[[np.ndarray], np.ndarray],
+    *,
+    bodies: bool,
+    cameras: Iterable[str] | None = None,
+) -> Recording:
+    """With the time stamps of the bodies, or of these cameras (of all by default), changed."""
     if bodies:
         changed = {
             name: replace(trajectory, stamps_ns=change(trajectory.stamps_ns))
@@ -98,8 +104,9 @@ def stamps(recording: Recording, change: Callable[[np.ndarray], np.ndarray], *, 
     detections = {
         name: replace(of_camera, stamps_ns=change(of_camera.stamps_ns))
         for name, of_camera in recording.detections.items()
+        if cameras is None or name in cameras
     }
-    return replace(recording, detections=detections)
+    return replace(recording, detections=recording.detections | detections)
 
 
 def pixels(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from itertools import permutations
 from typing import TypeVar
@@ -51,6 +52,15 @@ class Mended:
 
     recording: Recording
     finding: Finding
+
+
+@dataclass(frozen=True)
+class _Believed:
+    """A reading of a camera, how well its views fit by it, and what other readings do as well, in words."""
+
+    reading: LensReading
+    after_px: float
+    others: tuple[str, ...]
 
 
 @dataclass
@@ -120,13 +130,14 @@ class AloneSearch:
         return self._floors_px[name]
 
     def _lenses(self, recording: Recording, fits: dict[str, AloneFit]) -> Mended | None:
-        """The reading that helps one of the cameras most. How a file was written is alike for all cameras, so it is taken
-        for those too that fit better by it, if only by a little."""
+        """The reading that helps one of the cameras most. How a file was written is alike for all cameras, so it is
+        taken for those too that fit better by it, if only by a little."""
         best = {name: self._lens(recording, fits, name) for name in recording.cameras if name not in self.free}
         believed = {name: found for name, found in best.items() if found is not None}
         if not believed:
             return None
-        name, (reading, after_px) = min(believed.items(), key=lambda one: one[1][1] / fits[one[0]].typical_px)
+        name = min(believed, key=lambda one: believed[one].after_px / fits[one].typical_px)
+        reading, after_px = believed[name].reading, believed[name].after_px
         alike = {name: reading} | self._alike_readings(recording, fits, reading, believed)
         cameras = {
             other: of_other.reread((recording.cameras[other], recording.detections[other]))
@@ -142,7 +153,7 @@ class AloneSearch:
             fits[name].typical_px,
             after_px,
             "px",
-            tuple(other for of_camera in alike.values() for other in of_camera.alternatives),
+            (*believed[name].others, *(other for of_camera in alike.values() for other in of_camera.alternatives)),
         )
         return Mended(replace(recording, cameras=recording.cameras | cameras), finding)
 
@@ -151,7 +162,7 @@ class AloneSearch:
         recording: Recording,
         fits: dict[str, AloneFit],
         reading: LensReading,
-        believed: Mapping[str, tuple[LensReading, float]],
+        believed: Mapping[str, _Believed],
     ) -> dict[str, LensReading]:
         """The same reading of other cameras, where it is believed or helps."""
         found = {}
@@ -160,15 +171,15 @@ class AloneSearch:
             same = [other for other in lens_readings(camera) if other.says == reading.says]
             if not same or name in self.free:
                 continue
-            if name in believed and believed[name][0].says == reading.says:
+            if name in believed and believed[name].reading.says == reading.says:
                 found[name] = same[0]
             elif name not in believed and reading.of_file:
                 after_px = _fit_seen(same[0].reread(seen), seen[1], recording.board)
                 found |= {name: same[0]} if after_px < fits[name].typical_px else {}
         return found
 
-    def _lens(self, recording: Recording, fits: dict[str, AloneFit], name: str) -> tuple[LensReading, float] | None:
-        """The reading of one camera that is believed, and how well its views then fit."""
+    def _lens(self, recording: Recording, fits: dict[str, AloneFit], name: str) -> _Believed | None:
+        """The reading of one camera that is believed."""
         camera, detections, board = recording.cameras[name], recording.detections[name], recording.board
         few_px = _few(camera, detections, board)
         tried = [
@@ -179,7 +190,10 @@ class AloneSearch:
         if not tried:
             return None
         reading, after_px = _first_of_the_best(tried)
-        return (reading, after_px) if self._believed(recording, name, fits[name].typical_px, after_px) else None
+        if not self._believed(recording, name, fits[name].typical_px, after_px):
+            return None
+        others = tuple(other.says for other, px in tried if px <= AS_GOOD * after_px and other is not reading)
+        return _Believed(reading, after_px, others)
 
     def _swapped(self, recording: Recording, fits: dict[str, AloneFit]) -> Mended | None:
         """Images that fit each other's lens: two cameras of unlike lenses, exchanged."""
@@ -336,12 +350,16 @@ def _gap(board: Grid, camera: Camera, detections: CameraDetections) -> list[tupl
     """The gap between the tags that fits best, to three digits, or to two where that is as good."""
 
     def misfit_px(log_spacing: float) -> float:
-        return _few(camera, detections, with_gap(board, float(np.exp(log_spacing))).board)
+        with suppress(GtcalError):  # no board has such a gap
+            return _few(camera, detections, with_gap(board, float(np.exp(log_spacing))).board)
+        return np.inf
 
     wide: FloatArray = np.log(np.geomspace(0.06, 1.5, 12))
     start = float(wide[int(np.argmin([misfit_px(x) for x in wide]))])
     near = float(wide[1] - wide[0])
     found = minimize_scalar(misfit_px, bounds=(start - near, start + near), method="bounded", options={"xatol": 1e-4})
+    if not np.isfinite(found.fun):
+        return []
     best = float(np.exp(found.x))
-    readings = [with_gap(board, spacing) for spacing in (round(best, 2), round(best, 3), best) if spacing >= 0.05]
+    readings = [with_gap(board, spacing) for spacing in (*(round(best, n) for n in (2, 3)), best) if spacing >= 0.05]
     return [(reading, _few(camera, detections, reading.board)) for reading in readings]

@@ -3,7 +3,7 @@ number of views; a factor on the board's size and an offset of the clocks are se
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,6 +14,7 @@ from gtcal.doctor.fit import ChainFit, fit_chain, turn_misfit_rad
 from gtcal.doctor.mocap_readings import MocapReading, mocap_readings
 from gtcal.errors import GtcalError
 from gtcal.estimation.alignment import GuideViews
+from gtcal.estimation.solver import DISAGREEMENT_RAD
 from gtcal.recordings.capture import RefMotion
 
 CONVINCING = 0.25
@@ -39,6 +40,7 @@ LEAST_SHIFT_S, LEAST_SCALE = 2e-3, 2e-3
 _WIDE_SCALES = np.geomspace(0.5, 2.0, 8)
 _NEAR_SCALE = 1.12
 _NEAR_SHIFT_S = 0.01
+_TURN_FACTOR, _TURN_FLOOR_RAD = 3.0, np.deg2rad(0.5)
 _MOST_PAIRED = 80
 _MOST_NUMBERED = 4
 _MOST_STEPS = 5000
@@ -72,23 +74,32 @@ class ChainSearch:
         """The change that makes mocap and images agree; None where none is convincing."""
         if stated.n_views < FEWEST_VIEWS:
             return None
-        tried = self.tried(motion, stated, mocap_readings(motion))
+        tried = self._tried(motion, stated)
         if found := _best(tried, stated, CONVINCING):
             return found
-        if found := _best(self.numbers(motion, stated), stated, CONVINCING_NUMBER):
+        hopeless = stated.angle_rad > HOPELESS_RAD
+        if found := _best(self._numbers(motion, stated), stated, CONVINCING if hopeless else CONVINCING_NUMBER):
             return found
-        if not stated.angle_rad > HOPELESS_RAD:
+        if not hopeless:
             return None
         shift_s = self.far_shift_s(motion, 0.0, _FAR_S)
         far = [] if shift_s is None else [Explained(self.fit(motion, shift_s=shift_s), shift_s=shift_s)]
         return _best(far, stated, CONVINCING) or self._two_faults(motion, stated, tried)
 
-    def tried(self, motion: RefMotion, stated: ChainFit, readings: Iterable[MocapReading]) -> list[Explained]:
-        """The chain under each of these readings that keeps the views."""
-        found = [Explained(self.fit(reading.reread(motion)), (reading,)) for reading in readings]
+    def one_reading(self, motion: RefMotion, stated: ChainFit) -> Explained | None:
+        """The one reading of the trajectories that makes mocap and images agree: the cheap part of ``explain``."""
+        return _best(self._tried(motion, stated), stated, CONVINCING)
+
+    def _tried(self, motion: RefMotion, stated: ChainFit) -> list[Explained]:
+        """The chain under each reading by which the board turns about as much for the mocap as for PnP."""
+        readings = list(mocap_readings(motion))
+        turns_rad = [turn_misfit_rad(self.guides, reading.reread(motion)) for reading in readings]
+        most_rad = _TURN_FACTOR * min(turns_rad, default=0.0) + _TURN_FLOOR_RAD
+        hopeful = [reading for reading, turn_rad in zip(readings, turns_rad, strict=True) if turn_rad <= most_rad]
+        found = [Explained(self.fit(reading.reread(motion)), (reading,)) for reading in hopeful]
         return [change for change in found if _keeps_views(change.fit, stated)]
 
-    def numbers(self, motion: RefMotion, stated: ChainFit) -> list[Explained]:
+    def _numbers(self, motion: RefMotion, stated: ChainFit) -> list[Explained]:
         """The factor on the board's size, and the shift of the clocks, that fit best."""
         return [self._scale(motion, stated), self.shifted(motion, stated)]
 
@@ -96,7 +107,10 @@ class ChainSearch:
         def angle(log_scale: float) -> float:
             return self.fit(motion, board_scale=float(np.exp(log_scale))).angle_rad
 
-        wide = np.log(_WIDE_SCALES) if stated.angle_rad > HOPELESS_RAD else np.zeros(1)
+        hopeless = stated.angle_rad > HOPELESS_RAD
+        if not hopeless and not any(angle(side * 2.0 * LEAST_SCALE) < stated.angle_rad for side in (1, -1)):
+            return Explained(stated)  # the best lies nearer than what counts
+        wide = np.log(_WIDE_SCALES) if hopeless else np.zeros(1)
         best = _narrowed(angle, wide, float(np.log(_NEAR_SCALE)))
         if abs(best) < LEAST_SCALE:
             return Explained(stated)
@@ -108,6 +122,9 @@ class ChainSearch:
         try:
             about_s = offset_of_turns_s(self.turns(), motion)
         except GtcalError:
+            return Explained(stated)
+        places_s = (about_s, 2.0 * LEAST_SHIFT_S, -2.0 * LEAST_SHIFT_S)
+        if not any(self.fit(motion, shift_s=place_s).angle_rad < stated.angle_rad for place_s in places_s):
             return Explained(stated)
         shift_s = self._near_shift_s(motion, np.array([about_s, 0.0]))
         if abs(shift_s) < LEAST_SHIFT_S:
@@ -154,7 +171,7 @@ class ChainSearch:
         numbered = [
             Explained(number.fit, change.readings, number.board_scale, number.shift_s)
             for change in hopeful
-            for number in self.numbers(change.readings[0].reread(motion), change.fit)
+            for number in self._numbers(change.readings[0].reread(motion), change.fit)
         ]
         return _best(numbered, stated, CONVINCING)
 
@@ -178,7 +195,7 @@ def _best(tried: list[Explained], stated: ChainFit, convincing: float) -> Explai
     if not tried:
         return None
     least = min(change.fit.angle_rad for change in tried)
-    if not least <= convincing * stated.angle_rad:
+    if not least <= min(convincing * stated.angle_rad, DISAGREEMENT_RAD):
         return None
     first, *others = [change for change in tried if change.fit.angle_rad <= AS_GOOD * least]
     bodies = set(first.readings[0].bodies) if first.readings else set()
@@ -194,6 +211,6 @@ def _narrowed(function: Callable[[float], float], coarse: np.ndarray, half_width
     values = [function(float(x)) for x in coarse]
     best = float(coarse[int(np.argmin(values))])
     found = minimize_scalar(
-        function, bounds=(best - half_width, best + half_width), method="bounded", options={"xatol": 1e-4}
+        function, bounds=(best - half_width, best + half_width), method="bounded", options={"xatol": 3e-4}
     )
     return float(found.x) if found.fun < min(values) else best

@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from gtcal.doctor.alone_search import (
     AloneSearch,
@@ -32,7 +31,7 @@ from gtcal.doctor.findings import ALONE, BACKS, MISFIT, POSED, Diagnosis, Findin
 from gtcal.doctor.fit import NO_CHAIN, AloneFit, ChainFit
 from gtcal.doctor.lens_readings import mirrored
 from gtcal.doctor.manifest_lines import ManifestFile, line_of
-from gtcal.doctor.mocap_readings import MocapReading
+from gtcal.doctor.mocap_readings import MocapReading, stands_still
 from gtcal.doctor.opening import fault_of, opened, source_lines
 from gtcal.doctor.time_readings import ENOUGH, posed_share, shifted, spans_ns, time_readings, with_motion
 from gtcal.errors import GtcalError
@@ -44,7 +43,6 @@ from gtcal.recordings.recording import Recording
 from gtcal.workflow import detected
 
 _MOST_FINDINGS = 6
-_STILL_M, _STILL_RAD = 0.02, np.deg2rad(2.0)
 _OTHER_CLOCK = 2.0
 _BEHIND, _FITTING_PX = 0.8, 10.0
 """A share of views from behind that is no accident of PnP, where the corners lie nearly where they should."""
@@ -57,6 +55,7 @@ def diagnose(path: Path | str, *, progress: Progress = silent) -> Diagnosis:
     Raises GtcalError where there is no manifest, or what is there is none."""
     manifest_path = find_manifest(Path(path))
     file = ManifestFile(manifest_path, load_fields(manifest_path))
+    file.manifest()
     progress("reading", 0, 1)
     try:
         readings = opened(file)
@@ -109,6 +108,11 @@ class Patient:
         self.alone = AloneSearch(self.free, lambda name, other: source_lines(self.file, name, other))
         self._find_intrinsics()
         self._fits: dict[str, AloneFit] | None = None
+
+    @property
+    def said(self) -> dict[str, object]:
+        """The manifest's fields."""
+        return {} if self.file is None else self.file.fields
 
     @property
     def fits(self) -> dict[str, AloneFit]:
@@ -228,7 +232,7 @@ class Patient:
             return
         n_views = sum(of_camera.n_views for of_camera in self.recording.detections.values())
         tried = [(reading, posed_share(reading.recording)) for reading in time_readings(self.recording, self.file)]
-        most = max(found for _, found in tried)
+        most = max((found for _, found in tried), default=0.0)
         if most < max(ENOUGH, 2.0 * share):
             self._look_for_other_clock()
             return
@@ -425,7 +429,7 @@ class Patient:
         if n_views < FEWEST_VIEWS:
             self.notes.append(f"only {n_views} usable views: too few to tell what is wrong with the mocap's files")
         for body, trajectory in self.recording.motion.trajectories.items():
-            if _still(trajectory.world_T_body):
+            if stands_still(trajectory):
                 self.notes.append(f"{body} stands still, so this recording can't tell its units, order or direction")
         alike = self.alone.alike(self.recording)
         if alike:
@@ -433,12 +437,6 @@ class Patient:
                 f"the lenses of {', '.join(alike)} are so alike that this recording can't tell whether their images "
                 "are swapped: only their names would be"
             )
-
-
-def _still(world_T_body: np.ndarray) -> bool:
-    turns = Rotation.from_matrix(world_T_body[0, :3, :3].T @ world_T_body[:, :3, :3]).magnitude()
-    moves_m = np.linalg.norm(world_T_body[:, :3, 3] - np.median(world_T_body[:, :3, 3], axis=0), axis=1)
-    return bool(np.quantile(turns, 0.95) < _STILL_RAD and np.quantile(moves_m, 0.95) < _STILL_M)
 
 
 def _mirrored(recording: Recording, cameras: tuple[str, ...], axis: int) -> Recording:
@@ -471,6 +469,6 @@ def _chosen(patients: list[Patient]) -> tuple[Patient, tuple[str, ...]]:
     others = tuple(
         " and ".join(line for _, lines in patient.refusals for line in lines)
         for patient, angle in zip(patients, angles, strict=True)
-        if patient is not patients[best] and angle <= AS_GOOD * angles[best] < np.inf
+        if patient.said != patients[best].said and angle <= AS_GOOD * angles[best] < np.inf
     )
     return patients[best], others

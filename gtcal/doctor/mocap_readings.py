@@ -7,11 +7,14 @@ from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from factors.rigid import inverse
 from gtcal.camera import FloatArray
 from gtcal.recordings.capture import RefMotion
 from gtcal.recordings.trajectory import Trajectory, poses_from_quaternions, quaternions_from_poses
+
+_STILL_M, _STILL_RAD, _NEARLY_ALL = 0.02, np.deg2rad(2.0), 0.95
 
 INVERSE = "body_T_world"
 """... or world_T_body, where the manifest says body_T_world."""
@@ -143,19 +146,32 @@ _SUSPICIONS = (
 def mocap_readings(motion: RefMotion) -> Iterator[MocapReading]:
     """Other readings of one trajectory or of all, those first that ask for the fewest changes."""
     names = tuple(motion.trajectories)
-    if len(names) == 2:
-        yield MocapReading(
-            "swapped bodies",
-            "the trajectories of platform and board_body are interchanged",
-            names,
-            (),
-            ("swap the entries platform and board_body",),
-            swapped_bodies,
-        )
+    swap = MocapReading(
+        "swapped bodies",
+        "the trajectories of platform and board_body are interchanged",
+        names,
+        (),
+        ("swap the entries platform and board_body",),
+        swapped_bodies,
+    )
+    # where one body stands still, swapped bodies and inverse poses look alike; mostly that is the board
+    swap_first = motion.platform is not None and stands_still(motion.platform)
+    if len(names) == 2 and swap_first:
+        yield swap
     for size in range(1, len(names) + 1):
         for suspicion in _SUSPICIONS:
             for bodies in combinations(names, size):
                 yield _reading(suspicion, bodies)
+    if len(names) == 2 and not swap_first:
+        yield swap
+
+
+def stands_still(trajectory: Trajectory) -> bool:
+    """Whether the body hardly moves and turns, nearly all the time."""
+    poses = trajectory.world_T_body
+    turns_rad = Rotation.from_matrix(poses[0, :3, :3].T @ poses[:, :3, :3]).magnitude()
+    moves_m = np.linalg.norm(poses[:, :3, 3] - np.median(poses[:, :3, 3], axis=0), axis=1)
+    return bool(np.quantile(turns_rad, _NEARLY_ALL) < _STILL_RAD and np.quantile(moves_m, _NEARLY_ALL) < _STILL_M)
 
 
 def _reading(suspicion: _Suspicion, bodies: tuple[str, ...]) -> MocapReading:

@@ -53,7 +53,6 @@ def opened(file: ManifestFile) -> list[Opened]:
     """The recording, or where it is refused the readings of it that are not, with as few changes as do.
 
     Raises GtcalError, why it is refused, where there is no such reading."""
-    file.manifest()  # what is no manifest is not the doctor's
     try:
         return [Opened(file, file.recording(), ())]
     except GtcalError as error:

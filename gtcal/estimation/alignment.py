@@ -20,7 +20,7 @@ from gtcal.estimation.estimate import Estimate
 from gtcal.estimation.graph import AlignmentViews, Minimisation, alignment_graph, minimise, to_values, updated
 from gtcal.estimation.observations import Views
 from gtcal.estimation.pnp import PnpViews
-from gtcal.estimation.procrustes import SweepResult, alignment_sums, sweep
+from gtcal.estimation.procrustes import N_STARTS, SweepResult, alignment_sums, sweep
 from gtcal.estimation.residuals import select_views
 
 _PASSES = 3
@@ -73,12 +73,14 @@ class Aligned:
     n_outlying: int
 
 
-def stage_1(guides: Mapping[str, GuideViews], rng: np.random.Generator) -> Aligned:
+def stage_1(guides: Mapping[str, GuideViews], rng: np.random.Generator, *, n_starts: int = N_STARTS) -> Aligned:
     """Procrustes sweep over all cameras, robust to gross views while they are a minority."""
     chosen = {name: _agreeing_views(guide) for name, guide in guides.items()}
     for _ in range(_PASSES):
         result = sweep(
-            [alignment_sums(v.ref_T_body, v.pnp_camera_T_board, v.corner_moments) for v in chosen.values()], rng
+            [alignment_sums(v.ref_T_body, v.pnp_camera_T_board, v.corner_moments) for v in chosen.values()],
+            rng,
+            n_starts,
         )
         estimate = _estimate(guides, result)
         chosen = fitting_views(guides, estimate)
