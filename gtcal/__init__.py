@@ -13,6 +13,10 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from gtcal.board import PRESETS as PRESETS
     from gtcal.board import board_from_manifest as board_from_manifest
+    from gtcal.doctor.diagnose import diagnose as diagnose
+    from gtcal.doctor.diagnosis_file import write_diagnosis as write_diagnosis
+    from gtcal.doctor.findings import Diagnosis as Diagnosis
+    from gtcal.doctor.findings import Finding as Finding
     from gtcal.errors import GtcalError as GtcalError
     from gtcal.estimation.observations import synchronise as synchronise
     from gtcal.estimation.options import CalibrationOptions as CalibrationOptions
@@ -46,6 +50,10 @@ _HOMES = {
     "Calibration": "results.calibration",
     "read_calibration": "results.calibration_file",
     "write_calibration": "results.calibration_file",
+    "Diagnosis": "doctor.findings",
+    "Finding": "doctor.findings",
+    "diagnose": "doctor.diagnose",
+    "write_diagnosis": "doctor.diagnosis_file",
     "GtcalError": "errors",
     "Drift": "verification.drift",
     "verify_series": "verification.drift",

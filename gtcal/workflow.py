@@ -8,12 +8,12 @@ from dataclasses import replace
 
 from gtcal.clock.find import tested, with_clock, with_stated_readouts
 from gtcal.detection.detect import cached_detect
+from gtcal.doctor.hint import likely_mistake, looks_wrong
 from gtcal.errors import GtcalError
 from gtcal.estimation.intrinsics import calibrate_intrinsics
 from gtcal.estimation.observations import Observations, synchronise
 from gtcal.estimation.options import CalibrationOptions
 from gtcal.estimation.solver import DisagreementError, calibrate_observations
-from gtcal.estimation.suspects import likely_mistake
 from gtcal.files import fingerprint
 from gtcal.progress import Progress, silent
 from gtcal.recordings.recording import Recording
@@ -37,8 +37,16 @@ def calibrate(
         )
     except DisagreementError as error:
         hint = likely_mistake(as_stamped, seed=options.seed, max_views=options.pnp_views)
-        raise DisagreementError(error.angle_deg, hint) from error
+        raise DisagreementError(error.angle_deg, hint, doctor=_doctor(recording)) from error
+    if recording.path is not None and looks_wrong(calibration):
+        warning = f"this does not look like a good calibration; {_doctor(recording)} may tell why"
+        calibration = replace(calibration, warnings=(*calibration.warnings, warning))
     return tested(calibration, as_stamped, options) if options.clock == "test" else replace(calibration, clock=clock)
+
+
+def _doctor(recording: Recording) -> str:
+    """What to run to find out what is wrong with it."""
+    return f"'gtcal doctor {recording.path.parent if recording.path is not None else 'RECORDING'}'"
 
 
 def prepared(

@@ -16,6 +16,7 @@ COMMANDS = {
     "init": "look at a folder and draft the manifest of a recording",
     "info": "show what is in a recording or a result: rates, gaps, overlap, coverage, as a picture too",
     "calibrate": "find every camera's extrinsic and the board-to-body transform from a recording",
+    "doctor": "find out what is wrong with a recording, and which lines of its manifest to change",
     "uncertainty": "say how sure a calibration is: in mm, deg and px, by kind, and where it is weak",
     "compare": "calibrate a recording by other methods too, and compare",
     "selfcheck": "check a calibration against its own recording: halves, frames held out, chain and PnP",

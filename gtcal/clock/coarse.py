@@ -28,23 +28,42 @@ _FEWEST_PAIRS = 8
 _CAP = 4.0  # of the typical misfit at its best: more is an outlier
 
 
+Turns = tuple[IntArray, IntArray, FloatArray]
+"""Of successive views: the stamps of both, and the angle in rad that the board turned by."""
+
+
 def coarse_offset_s(observations: Observations, cameras: Iterable[str] | None = None) -> float:
     """The offset that these cameras (all of them by default) share: stamp + offset is the mocap's time.
 
     Raises GtcalError where the images have too few successive views, or the board did not turn."""
     names = list(observations.views if cameras is None else cameras)
-    parts = [_turns(observations.views[name]) for name in names]
+    return offset_of_turns_s([_turns(observations.views[name]) for name in names], observations.motion)
+
+
+def offset_of_turns_s(
+    turns: Iterable[Turns],
+    motion: RefMotion,
+    *,
+    about_s: float = 0.0,
+    reach_s: float = REACH_S,
+    step_s: float = _STEP_S,
+    share: float = 0.0,
+) -> float:
+    """``coarse_offset_s`` from the turns of each camera, looked for within ``reach_s`` of ``about_s`` where the mocap
+    has this share of them or more."""
+    parts = list(turns)
     first_ns, second_ns = (np.concatenate([part[i] for part in parts]) for i in range(2))
     angle_rad = np.concatenate([part[2] for part in parts])
     if len(angle_rad) < _FEWEST_PAIRS:
         raise GtcalError("too few views to find the clock offset from: film more, or synchronise the clocks")
     if np.median(angle_rad) < np.deg2rad(0.1):
         raise GtcalError("the board hardly turned between images, so its turns do not tell the clock offset")
-    shifts_s = np.arange(-REACH_S, REACH_S + _STEP_S, _STEP_S)
-    misfits = [_misfit(observations.motion, first_ns, second_ns, angle_rad, shift_s) for shift_s in shifts_s]
-    medians = np.array([np.median(misfit) if len(misfit) >= _FEWEST_PAIRS else np.inf for misfit in misfits])
+    shifts_s = np.arange(about_s - reach_s, about_s + reach_s + step_s, step_s)
+    misfits = [_misfit(motion, first_ns, second_ns, angle_rad, shift_s) for shift_s in shifts_s]
+    fewest = max(_FEWEST_PAIRS, share * len(angle_rad))
+    medians = np.array([np.median(misfit) if len(misfit) >= fewest else np.inf for misfit in misfits])
     if not np.isfinite(medians).any():
-        raise GtcalError("cameras and mocap share no time, whatever the clock offset within half a second")
+        raise GtcalError(f"cameras and mocap share no time, whatever the clock offset within {reach_s:g} s")
     cap = _CAP * medians.min()
     costs = np.array(
         [
@@ -53,15 +72,18 @@ def coarse_offset_s(observations: Observations, cameras: Iterable[str] | None = 
         ]
     )
     best = int(np.argmin(costs))
-    return float(shifts_s[best] + _STEP_S * _parabola(costs[max(best - 1, 0) : best + 2]))
+    return float(shifts_s[best] + step_s * _parabola(costs[max(best - 1, 0) : best + 2]))
 
 
-def _turns(views: Views) -> tuple[IntArray, IntArray, FloatArray]:
-    """Of successive views: the stamps of both, and the angle in rad that the board turned by."""
+def _turns(views: Views) -> Turns:
     found = solve_pnp(views, max_views=_MOST_VIEWS)
-    order = np.argsort(views.stamps_ns[found.view_index])
-    stamps_ns = views.stamps_ns[found.view_index][order]
-    poses = found.camera_T_board[order, 0]
+    return turns_between(views.stamps_ns[found.view_index], found.camera_T_board[:, 0])
+
+
+def turns_between(view_stamps_ns: IntArray, camera_T_board: FloatArray) -> Turns:
+    """Between views in the order of time, from their stamps (V,) and PnP poses (V, 4, 4)."""
+    order = np.argsort(view_stamps_ns)
+    stamps_ns, poses = view_stamps_ns[order], camera_T_board[order]
     angle_rad = Rotation.from_matrix((inverse(poses[:-1]) @ poses[1:])[:, :3, :3]).magnitude()
     return stamps_ns[:-1], stamps_ns[1:], angle_rad
 

@@ -20,7 +20,7 @@ from gtcal.estimation.estimate import Estimate
 from gtcal.estimation.graph import AlignmentViews, Minimisation, alignment_graph, minimise, to_values, updated
 from gtcal.estimation.observations import Views
 from gtcal.estimation.pnp import PnpViews
-from gtcal.estimation.procrustes import SweepResult, alignment_sums, sweep
+from gtcal.estimation.procrustes import N_STARTS, SweepResult, alignment_sums, sweep
 from gtcal.estimation.residuals import select_views
 
 _PASSES = 3
@@ -73,12 +73,14 @@ class Aligned:
     n_outlying: int
 
 
-def stage_1(guides: Mapping[str, GuideViews], rng: np.random.Generator) -> Aligned:
+def stage_1(guides: Mapping[str, GuideViews], rng: np.random.Generator, *, n_starts: int = N_STARTS) -> Aligned:
     """Procrustes sweep over all cameras, robust to gross views while they are a minority."""
     chosen = {name: _agreeing_views(guide) for name, guide in guides.items()}
     for _ in range(_PASSES):
         result = sweep(
-            [alignment_sums(v.ref_T_body, v.pnp_camera_T_board, v.corner_moments) for v in chosen.values()], rng
+            [alignment_sums(v.ref_T_body, v.pnp_camera_T_board, v.corner_moments) for v in chosen.values()],
+            rng,
+            n_starts,
         )
         estimate = _estimate(guides, result)
         chosen = fitting_views(guides, estimate)
@@ -106,13 +108,13 @@ def _fits(rms_m: FloatArray, median_m: float) -> BoolArray:
 def _agreeing_views(guide: GuideViews) -> AlignmentViews:
     """Views that have turned from most others by the same angle for PnP as for the mocap, as they must whatever X and
     Y are: That_i^-1 That_j = X^-1 (A_i^-1 A_j) X (screw congruence, Chen 1991). At least half of the views."""
-    by_pnp, by_mocap = (_turns_rad(poses) for poses in (guide.pnp_camera_T_board[:, 0], guide.views.ref_T_body))
+    by_pnp, by_mocap = (turns_rad(poses) for poses in (guide.pnp_camera_T_board[:, 0], guide.views.ref_T_body))
     mismatch_rad = np.median(np.abs(by_pnp - by_mocap), axis=1)
     agree = mismatch_rad <= max(_GATE * float(np.median(mismatch_rad)), _TURN_FLOOR_RAD)
     return guide.alignment_views(agree, np.zeros(len(agree), dtype=np.int64))
 
 
-def _turns_rad(poses: FloatArray) -> FloatArray:
+def turns_rad(poses: FloatArray) -> FloatArray:
     """Angles (W, R) between the attitudes of poses (W, 4, 4) and of R of them, spread evenly."""
     flat = poses[:, :3, :3].reshape(-1, 9)
     chosen = np.linspace(0, len(flat) - 1, min(len(flat), _MAX_REFERENCES)).round().astype(np.int64)

@@ -171,8 +171,7 @@ def _zhang(
 
 def _kannala_brandt(views: Views) -> Camera:
     few = select_views(views, np.linspace(0, views.n_views - 1, min(views.n_views, _START_VIEWS)).astype(np.int64))
-    simple = replace(views.camera, model=KANNALA_BRANDT4)
-    starts = [_equidistant(simple, np.deg2rad(field_deg)) for field_deg in START_FIELDS_DEG]
+    starts = equidistant_lenses(views.camera)
     fits = [_median_px(replace(few, camera=start)) for start in starts]
     if not np.isfinite(fits).any():
         raise GtcalError(
@@ -198,6 +197,12 @@ def _settled(views: Views, camera: Camera) -> Camera:
         if abs(camera.theta[0] - before.theta[0]) < 1e-4 * before.theta[0]:
             break
     return camera
+
+
+def equidistant_lenses(camera: Camera) -> list[Camera]:
+    """The camera with equidistant lenses of usual fields of view, for a start."""
+    simple = replace(camera, model=KANNALA_BRANDT4)
+    return [_equidistant(simple, np.deg2rad(field_deg)) for field_deg in START_FIELDS_DEG]
 
 
 def _equidistant(camera: Camera, field_rad: float) -> Camera:

@@ -44,7 +44,7 @@ class AlignmentSums:
 @dataclass(frozen=True)
 class SweepResult:
     """The best of the starts: camera_T_ref (C, 4, 4), body_T_board (4, 4), rmse_m = sqrt(E_3D / corners), and
-    the rmse of every start (N_STARTS,)."""
+    the rmse of every start (S,)."""
 
     camera_T_ref: FloatArray
     body_T_board: FloatArray
@@ -108,22 +108,22 @@ def _energy_of_camera(sums: AlignmentSums, Y: FloatArray, X: FloatArray) -> Floa
     return in_body + turned + moved - 2.0 * cross + sums.constant
 
 
-def starting_rotations(rng: np.random.Generator) -> FloatArray:
-    """N_STARTS of N_RANDOM_ROTATIONS random rotations, far apart: a greedy farthest-point pick in the Frobenius
-    distance, (N_STARTS, 3, 3)."""
+def starting_rotations(rng: np.random.Generator, n_starts: int = N_STARTS) -> FloatArray:
+    """``n_starts`` of N_RANDOM_ROTATIONS random rotations, far apart: a greedy farthest-point pick in the Frobenius
+    distance, (n_starts, 3, 3)."""
     rotations = Rotation.random(N_RANDOM_ROTATIONS, rng=rng).as_matrix()
     chosen = [0]
     distance = np.full(N_RANDOM_ROTATIONS, np.inf)
-    while len(chosen) < N_STARTS:
+    while len(chosen) < n_starts:
         distance = np.minimum(distance, ((rotations - rotations[chosen[-1]]) ** 2).sum(axis=(1, 2)))
         chosen.append(int(distance.argmax()))
     return rotations[chosen]
 
 
-def sweep(sums: Sequence[AlignmentSums], rng: np.random.Generator) -> SweepResult:
+def sweep(sums: Sequence[AlignmentSums], rng: np.random.Generator, n_starts: int = N_STARTS) -> SweepResult:
     """N_SWEEPS alternate updates from each starting rotation of X, X last; the start that ends lowest."""
-    X = np.zeros((N_STARTS, 4, 4))
-    X[:, :3, :3], X[:, 3, 3] = starting_rotations(rng), 1.0
+    X = np.zeros((n_starts, 4, 4))
+    X[:, :3, :3], X[:, 3, 3] = starting_rotations(rng, n_starts), 1.0
     for _ in range(N_SWEEPS):
         Y = np.stack([solve_camera_T_ref(s, X) for s in sums], axis=1)
         X = solve_body_T_board(sums, Y)

@@ -28,6 +28,9 @@ Gaussian (the median Rayleigh length is 1.18 sigma), to spare room for lens-mode
 FLOOR_PX = 0.3
 """No gate below this many pixels: in data without noise nothing is an outlier."""
 
+GROSS_VIEW = "gross view (mocap or detection contradicts the chain)"
+"""Why a view is left out."""
+
 
 @dataclass(frozen=True)
 class Screened:
@@ -57,8 +60,7 @@ class Screened:
             n_views = int((~keep_view).sum())
             n_single = int((in_kept_view & ~keep_corner).sum())
             if n_views:
-                reason = "gross view (mocap or detection contradicts the chain)"
-                found.append(Dropped(name, reason, n_views, int((~in_kept_view).sum())))
+                found.append(Dropped(name, GROSS_VIEW, n_views, int((~in_kept_view).sum())))
             if n_single:
                 found.append(Dropped(name, "gross corner (contradicts its view)", 0, n_single))
         return tuple(found)

@@ -50,14 +50,16 @@ _MIN_VIEWS = 3
 
 
 class DisagreementError(GtcalError):
-    """No chain fits the data. ``angle_deg``: the typical residual of the best one."""
+    """No chain fits the data. ``angle_deg``: the typical residual of the best one. ``hint``: the likely mistake.
+    ``doctor``: the command that looks for it."""
 
-    def __init__(self, angle_deg: float, hint: str = "") -> None:
+    def __init__(self, angle_deg: float, hint: str = "", doctor: str = "'gtcal doctor RECORDING'") -> None:
         self.angle_deg = angle_deg
         causes = "quaternion order, inverse poses, units, swapped bodies or clocks, or the board's geometry"
+        advice = f"{hint}; {doctor} tells more" if hint else f"check {causes}, or let {doctor} try them"
         super().__init__(
             f"no calibration fits: after alignment the corners still lie {angle_deg:.1f} deg off, typically, so the "
-            f"board's views and the mocap contradict each other; {hint or 'check ' + causes}"
+            f"board's views and the mocap contradict each other; {advice}"
         )
 
 
@@ -100,7 +102,7 @@ def calibrate_observations(
         mocap_noise=found.noise,
         stages=(*earlier, *reports, *later),
         dropped=observations.dropped + found.dropped,
-        warnings=(*_warnings(observations, adjusted, sigmas, options), *_fit_warnings((*reports, *later))),
+        warnings=(*_warnings(observations, adjusted, sigmas, options), *fit_warnings((*reports, *later))),
         provenance=provenance(options, inputs, time.perf_counter() - started),
         solution=Solution(adjusted.graph, adjusted.values, final, adjusted.screened.views),
     )
@@ -145,7 +147,7 @@ def _prior_warnings(adjusted: Adjusted, options: CalibrationOptions) -> tuple[st
     return contradictions(options.priors, cameras, adjusted.values, free_theta=options.refine_intrinsics)
 
 
-def _fit_warnings(reports: tuple[StageReport, ...]) -> tuple[str, ...]:
+def fit_warnings(reports: tuple[StageReport, ...]) -> tuple[str, ...]:
     """By themselves the views fit as well as lens and detector are; what the chain adds is the mocap's."""
     alone_px, chain_px = reports[0].median_px, reports[-1].median_px
     if reports[-1].stage < 3 or not chain_px > max(LOOSE * alone_px, LOOSE_PX):

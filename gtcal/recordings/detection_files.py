@@ -53,6 +53,33 @@ def write_detections(path: Path, detections: CameraDetections) -> None:
 
 
 @dataclass(frozen=True)
+class StatedTags:
+    """What files of detections say of their board. tag_ids: (T,) the tags seen, increasing. grid: columns, rows, side
+    in m and spacing, None where the files have no such columns."""
+
+    tag_ids: IntArray
+    grid: tuple[int, int, float, float] | None
+
+
+def stated_tags(path: Path) -> StatedTags | None:
+    """What the detections of one camera say of their board, None where they name no tags. Raises GtcalError where they
+    can't be read."""
+    files = sorted(path.glob("*.csv")) if path.is_dir() else [path]
+    tables = [(table, _layout(table)) for table in (open_table(file, ",") for file in files)]
+    rows = [table.read(layout.columns) for table, layout in tables if ("tag_id", "integer") in layout.columns]
+    if not rows:
+        return None
+    tag_ids = np.unique(np.concatenate([of_file["tag_id"] for of_file in rows]))
+    if "tag_size" not in (rows[0].dtype.names or ()):
+        return StatedTags(tag_ids, None)
+    first = rows[0][0]
+    return StatedTags(
+        tag_ids,
+        (int(first["tag_cols"]), int(first["tag_rows"]), float(first["tag_size"]), float(first["tag_spacing"])),
+    )
+
+
+@dataclass(frozen=True)
 class _Part:
     """The rows of one file: time stamps, corner ids (N,) and pixels (N, 2)."""
 

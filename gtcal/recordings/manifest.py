@@ -294,7 +294,11 @@ def read_manifest(path: Path) -> Manifest:
     """Read and check the manifest file at ``path``.
 
     Raises GtcalError naming the file and the field for the first thing that is wrong."""
-    data = load_fields(path)
+    return manifest_of(path, load_fields(path))
+
+
+def manifest_of(path: Path, data: dict[str, Any]) -> Manifest:
+    """The fields of the manifest at ``path``, checked. Raises GtcalError as ``read_manifest``."""
     if "device" in data:
         raise GtcalError(
             f"{path}: device: this is a recording of a Lollypop, which verifies a calibration ('gtcal verify'), "

@@ -101,7 +101,11 @@ def load_recording(path: Path | str) -> Recording:
 
     Raises GtcalError, in one line that names the file and the field or row, for anything that is wrong with it."""
     manifest_path = find_manifest(Path(path))
-    manifest = read_manifest(manifest_path)
+    return recording_of(manifest_path, read_manifest(manifest_path))
+
+
+def recording_of(manifest_path: Path, manifest: Manifest) -> Recording:
+    """What a manifest at this path describes. Raises GtcalError as ``load_recording``."""
     loader = Loader(manifest_path)
     board = loader.board(manifest.board)
     cameras = {name: loader.camera(name, entry) for name, entry in manifest.cameras.items()}
