@@ -342,6 +342,25 @@ def test_other_boards_and_noise_are_healthy_too(kind: str, changes: dict[str, ob
     assert diagnose(written(recording, tmp_path / "r")).findings == ()
 
 
+def test_without_intrinsics_too_the_board_is_judged(tmp_path: Path) -> None:
+    recording = recorded(STANDING)
+    bare = replace(recording, cameras={name: replace(c, parameters=None) for name, c in recording.cameras.items()})
+    wrong = AprilGrid(4, 9, 0.06, 0.3)
+    folder = written(bare, tmp_path / "r", [line_of("board", wrong.to_manifest())])
+    found = diagnose(folder)
+    assert found.lines == ("board.tag_columns: 6", "board.tag_rows: 6")
+
+
+def test_a_camera_with_too_few_views_for_its_lens_is_left_out(tmp_path: Path) -> None:
+    recording = recorded(FIXED)
+    bare = {name: replace(camera, parameters=None) for name, camera in recording.cameras.items()}
+    few = recording.detections["cam1"].select_views(np.arange(recording.detections["cam1"].n_views) < 3)
+    poor = replace(recording, cameras=bare, detections=recording.detections | {"cam1": few})
+    found = diagnose(written(poor, tmp_path / "r"))
+    assert found.healthy
+    assert any("left out: camera 'cam1'" in note for note in found.notes)
+
+
 def test_two_faults_that_only_show_together(tmp_path: Path) -> None:
     wrong = poses(recorded(FIXED), ("board_body",), inverse)
     folder = written(wrong, tmp_path / "r", ["board_body.quaternion: xyzw"])

@@ -257,8 +257,11 @@ class AloneSearch:
         if not few_px <= CLEARLY * stated_px:
             return None
         mended = with_board(recording, reading)
-        if self.free:
-            mended = with_found_intrinsics(mended, self.free)
+        if free := self.free.intersection(recording.cameras):
+            try:
+                mended = with_found_intrinsics(mended, free)
+            except GtcalError:
+                return None
         after = self.fits(mended)
         before_px, after_px = (float(np.median([fit.typical_px for fit in of.values()])) for of in (fits, after))
         if not after_px <= CLEARLY * before_px:

@@ -4,7 +4,7 @@ makes the rest agree better."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Set
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -155,39 +155,40 @@ class Patient:
 
     def _seeing(self, recording: Recording) -> Recording:
         """Without the cameras that have no view. Raises GtcalError where that is all of them."""
-        seeing = {name: camera for name, camera in recording.cameras.items() if recording.detections[name].n_views}
-        for name in recording.cameras.keys() - seeing.keys():
+        seeing = {name for name in recording.cameras if recording.detections[name].n_views}
+        for name in sorted(recording.cameras.keys() - seeing):
             self.notes.append(f"camera {name!r} has no view of the board, and is left out")
         if not seeing:
             raise GtcalError(
                 "no camera has a view of the board: check the board's type, dictionary and first id against the print"
             )
-        return replace(
-            recording,
-            cameras=seeing,
-            detections={name: recording.detections[name] for name in seeing},
-            images={name: images for name, images in recording.images.items() if name in seeing},
-        )
+        return _only(recording, seeing)
 
     def _find_intrinsics(self) -> None:
         if not self.free:
             return
         self.progress("intrinsics", 0, 1)
-        try:
-            self.recording = with_found_intrinsics(self.recording, self.free)
-        except GtcalError as error:
-            reading = board_under_any_lens(self.recording)
-            if reading is None:
-                raise error
-            mended = with_found_intrinsics(with_board(self.recording, reading), self.free)
-            after_px = float(np.median([fit.typical_px for fit in self.alone.fits(mended).values()]))
-            self._add(
-                Mended(
-                    mended,
-                    Finding(reading.fault, reading.says, reading.lines, reading.advice, ALONE, np.inf, after_px, "px"),
-                )
-            )
+        refused: dict[str, str] = {}
+        for name in sorted(self.free):
+            try:
+                self.recording = with_found_intrinsics(self.recording, frozenset({name}))
+            except GtcalError as error:
+                refused[name] = str(error)
+        if len(refused) == len(self.recording.cameras):
+            self._find_intrinsics_and_board(next(iter(refused.values())))
+        elif refused:
+            self.notes += [f"left out: {why}" for why in refused.values()]
+            self.recording = _only(self.recording, self.recording.cameras.keys() - refused.keys())
         self.progress("intrinsics", 1, 1)
+
+    def _find_intrinsics_and_board(self, refusal: str) -> None:
+        reading = board_under_any_lens(self.recording)
+        if reading is None:
+            raise GtcalError(refusal)
+        mended = with_found_intrinsics(with_board(self.recording, reading), self.free)
+        after_px = float(np.median([fit.typical_px for fit in self.alone.fits(mended).values()]))
+        finding = Finding(reading.fault, reading.says, reading.lines, reading.advice, ALONE, np.inf, after_px, "px")
+        self._add(Mended(mended, finding))
 
     def _add(self, mended: Mended) -> None:
         """Take a finding as put right, with lines that the manifest takes."""
@@ -437,6 +438,16 @@ class Patient:
                 f"the lenses of {', '.join(alike)} are so alike that this recording can't tell whether their images "
                 "are swapped: only their names would be"
             )
+
+
+def _only(recording: Recording, names: Set[str]) -> Recording:
+    """The recording of these cameras."""
+    return replace(
+        recording,
+        cameras={name: camera for name, camera in recording.cameras.items() if name in names},
+        detections={name: found for name, found in recording.detections.items() if name in names},
+        images={name: images for name, images in recording.images.items() if name in names},
+    )
 
 
 def _mirrored(recording: Recording, cameras: tuple[str, ...], axis: int) -> Recording:
