@@ -6,7 +6,7 @@ of freedom, 1 where the covariance is true, and how often the true value lies wi
 95 %, of each component. Beside the default, what stage 3's naive and frame-clustered covariances give, and the mean
 error of stage 3 and stage 4.
 
-    python scripts/study_coverage.py                # 600 recordings, seven minutes on two cores
+    python scripts/study_coverage.py                # 600 recordings, eight minutes on two cores
     python scripts/study_coverage.py --runs 10      # of each scenario
 """
 
@@ -91,7 +91,8 @@ class Outcome:
 
 
 def outcome(run: Run) -> Outcome | None:
-    """Simulate, calibrate and compare; None where a camera chances to see too little."""
+    """Simulate, calibrate and compare; None where the recording is refused: a camera chances to see too
+    little."""
     simulation = simulate(SCENARIOS[run.scenario], seed=run.seed)
     options = CalibrationOptions(intrinsics="refine" if run.free else "fixed")
     try:
@@ -222,7 +223,8 @@ def main() -> None:
     arguments = _arguments()
     outcomes = study(arguments.runs, arguments.seed, arguments.workers)
     console = Console(width=140)
-    console.print(f"{len(outcomes)} recordings")
+    refused = arguments.runs * len(SCENARIOS) - len(outcomes)
+    console.print(f"{len(outcomes)} recordings, and {refused} that a calibration refused as not determining all of it")
     for table in tables(outcomes):
         console.print(table)
 

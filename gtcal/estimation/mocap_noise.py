@@ -11,6 +11,7 @@ unknowns that the same frames determine.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from scipy.linalg import solve_triangular
@@ -37,6 +38,7 @@ _BLOCKS = 10
 _HARDLY_ANYTHING = 1e-6  # information, where the noise itself has 1: on a direction that a frame leaves open
 _WIDE = 3.0  # of the logarithm of a sigma: hardly a prior, but a component that the data do not show stays finite
 _TYPICAL_JITTER_S, _TYPICAL_CORRELATION_S = 1e-4, 0.02
+_ACCURACY = {"ftol": 1e-7}  # of a cost of some ten thousands: a thousandth of a likelihood's unit
 _SMALLEST, _LARGEST = 1e-2, 1e2  # of a component, as a multiple of its first guess
 
 
@@ -157,7 +159,7 @@ def estimate_noise(frames: FrameMoments, motion: RefMotion, information: FloatAr
     if 6 * len(frames.frame_index) - frames.n_unknowns < FEWEST_NUMBERS:
         return None
     problem = _Likelihood.of(frames, motion, information)
-    sigmas = problem.first_guess()
+    sigmas = problem.first_guess
     gross = np.zeros(len(frames.frame_index), dtype=bool)
     for allowance in (10.0, 1.0):
         now = gross_frames(frames, problem.covariance(sigmas), allowance)
@@ -235,6 +237,7 @@ class _Likelihood:
         bases = NoiseBases.of(motion, frames.stamps_ns)
         return _Likelihood(frames, bases, information, tuple(motion.trajectories))
 
+    @cached_property
     def first_guess(self) -> FloatArray:
         """From the median offset of the frames that the pixels alone show, shared out among the bodies alike."""
         offset = np.linalg.solve(regular(self.frames.moments[:, :6, :6]), self.frames.moments[:, :6, -1:])[:, :, 0]
@@ -258,8 +261,10 @@ class _Likelihood:
     def most_likely(self, start: FloatArray, rows: IntArray) -> FloatArray:
         """The sigmas of the largest likelihood on the frames at ``rows``."""
         part = replace(self, frames=self.frames.take(rows), bases=self.bases.take(rows))
-        bounds = [(value + np.log(_SMALLEST), value + np.log(_LARGEST)) for value in self.first_guess()]
-        found = minimize(part.cost, np.clip(start, *np.transpose(bounds)), method="L-BFGS-B", bounds=bounds)
+        bounds = [(value + np.log(_SMALLEST), value + np.log(_LARGEST)) for value in self.first_guess]
+        found = minimize(
+            part.cost, np.clip(start, *np.transpose(bounds)), method="L-BFGS-B", bounds=bounds, options=_ACCURACY
+        )
         return np.asarray(found.x)
 
     def cost(self, logs: FloatArray) -> float:
@@ -273,4 +278,4 @@ class _Likelihood:
         explained = solve_triangular(R, total[:-1, -1], lower=True)
         square = total[-1, -1] - explained @ explained
         log_determinant += 2.0 * np.log(np.diag(R)).sum()
-        return float(0.5 * (log_determinant + square + (((logs - self.first_guess()) / _WIDE) ** 2).sum()))
+        return float(0.5 * (log_determinant + square + (((logs - self.first_guess) / _WIDE) ** 2).sum()))
