@@ -233,3 +233,14 @@ def test_an_image_that_is_gone_is_told(with_images: Path, tmp_path: Path) -> Non
     ran = run("info", folder)
     assert ran.code == 1
     assert "images: there is no" in ran.err
+
+
+def test_a_file_of_mocap_data_is_shown(shared: Callable[[str], Path], tmp_path: Path) -> None:
+    ran = run("info", shared("data/mocap_exports/vicon_trajectories_100hz_mm.csv"))
+    assert (ran.code, ran.err) == (0, "")
+    for words in ("vicon_csv: ", "at 100 Hz", "; mm; ", "boite", "of its markers"):
+        assert words in ran.out
+    assert "no bodies and no labelled markers" in run("info", shared("data/mocap_exports/motive_no_bodies.csv")).out
+    ran = run("info", shared("data/mocap_exports/motive_rigid_body_120hz_m.csv"), "--figure", tmp_path / "a.png")
+    assert ran.code == 1
+    assert "leave out --figure" in ran.err

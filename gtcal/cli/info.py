@@ -20,14 +20,15 @@ def info(
     detect: bool = False,
     quiet: Annotated[bool, tyro.conf.arg(aliases=["-q"])] = False,
 ) -> None:
-    """Show what is in a recording, a calibration.json or a verification.json, at a glance.
+    """Show what is in a recording, a mocap export, a calibration.json or a verification.json, at a glance.
 
     Of a recording: cameras and tracked bodies with their rates, gaps and lost samples, how many images have a pose of
-    every body, how much of each image had corners, and how far the bodies moved and turned; of a result what its
-    command printed. Corners are those that the recording gives or that were kept from a detection before.
+    every body, how much of each image had corners, and how far the bodies moved and turned; of a mocap export its
+    bodies, markers and gaps, and what a manifest has to say beside it; of a result what its command printed. Corners
+    are those that the recording gives or that were kept from a detection before.
 
     Args:
-        path: Folder of a recording, its manifest, or a result file.
+        path: Folder of a recording, its manifest, a file of mocap data, or a result file.
         figure: Picture to write, .png or .svg. Of a recording: when cameras and mocap recorded, where the images had
             corners, how the bodies moved. Of a calibration: where the cameras are. Of a verification: the heat maps.
         detect: Look for the board in images where that was not done yet, as 'gtcal detect' does, and keep the corners.
@@ -35,7 +36,11 @@ def info(
     """
     from gtcal.cli.progress import shown_progress
     from gtcal.overview.kind import Kind, kind_of
+    from gtcal.readers import detect_mocap_format
 
+    if detect_mocap_format(path) is not None:
+        _mocap_file(path, figure, quiet)
+        return
     kind = kind_of(path)
     if kind is Kind.CALIBRATION:
         _calibration(path, figure, quiet)
@@ -47,6 +52,18 @@ def info(
         _recording(recording, figure, quiet)
     if figure is not None and not quiet:
         print(f"written: {figure}")
+
+
+def _mocap_file(path: Path, figure: Path | None, quiet: bool) -> None:
+    from gtcal.cli.info_tables import print_mocap_file
+    from gtcal.errors import GtcalError
+    from gtcal.readers import inspect_mocap
+
+    if figure is not None:
+        raise GtcalError(f"{path}: is a file of mocap data, of which there is no picture; leave out --figure")
+    summary = inspect_mocap(path)
+    if not quiet:
+        print_mocap_file(summary)
 
 
 def _loaded(path: Path, lollypop: bool, detect: bool, progress: Progress) -> Recording | LollypopRecording:

@@ -9,6 +9,7 @@ from rich.text import Text
 
 from gtcal.cli.tables import new_table
 from gtcal.overview.summary import BodySummary, CameraSummary, RecordingSummary, Times
+from gtcal.readers import MocapSummary
 from gtcal.results.calibration import Provenance
 
 
@@ -101,3 +102,36 @@ def _lost(times: Times) -> str:
 
 def _motion(body: BodySummary) -> tuple[str, str]:
     return ", ".join(f"{mm:.0f}" for mm in body.range_mm), f"{body.largest_turn_deg:.0f}"
+
+
+def print_mocap_file(summary: MocapSummary) -> None:
+    """Print what a file of mocap data holds, and what a manifest has to say beside it."""
+    rate = "rate not stated" if summary.rate_hz is None else f"{summary.rate_hz:.4g} Hz"
+    lasts = "" if summary.duration_s is None else f", {summary.duration_s:.1f} s"
+    unit = "unit not stated" if summary.length_unit is None else summary.length_unit
+    n_markers = f"{len(summary.markers)} labelled markers"
+    parts: list[RenderableType] = [
+        Text(f"{summary.format}: {summary.n_frames} frames at {rate}{lasts}; {unit}; {n_markers}"),
+        _bodies_of_file(summary) if summary.bodies else _no_bodies(summary),
+    ]
+    if summary.open_fields:
+        parts.append(Text(f"the manifest has to state: {', '.join(summary.open_fields)}"))
+    parts += [Text(f"note: {note}", style="cyan") for note in summary.notes]
+    Console().print(Group(*parts))
+
+
+def _no_bodies(summary: MocapSummary) -> Text:
+    if not summary.markers:
+        return Text("no bodies and no labelled markers: export the rigid bodies too")
+    return Text(f"no bodies; one can be solved from three or more of the markers {', '.join(summary.markers)}")
+
+
+def _bodies_of_file(summary: MocapSummary) -> Table:
+    table = new_table("bodies")
+    for heading in ("frames seen", "gaps", "longest, s", "rotation", "markers"):
+        table.add_column(heading, justify="left" if heading in ("rotation", "markers") else "right")
+    for body in summary.bodies:
+        longest = "-" if body.longest_gap_s is None else f"{body.longest_gap_s:.3g}"
+        rotation = "of its markers" if body.from_markers else body.rotation or "to be stated"
+        table.add_row(body.name, str(body.n_seen), str(body.n_gaps), longest, rotation, ", ".join(body.markers) or "-")
+    return table
