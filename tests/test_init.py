@@ -7,7 +7,6 @@ import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -16,13 +15,12 @@ import yaml
 from cli_support import all_in, files_in, run
 from detection_support import PINHOLE, Filmer
 from media_support import image_message, write_bag, write_video
+from mocap_files import write_motive
 from support import EPOCH_NS, wandering_trajectory
 from test_folder_layouts import CAMCHAIN, SENSOR, STAMPS_NS, body, camera
 from vrs_support import image_stream, write_vrs
 
-from gtcal import readers
 from gtcal.board import AprilGrid, ArucoGrid, Board, CharucoBoard
-from gtcal.errors import GtcalError
 from gtcal.overview.board_guess import guess_board
 from gtcal.overview.draft import draft
 from gtcal.overview.survey import survey
@@ -195,23 +193,13 @@ def test_clocks_that_have_nothing_in_common_are_said(tmp_path: Path) -> None:
     assert re.search(expected, text.replace("\n# ", " "))
 
 
-def test_every_format_of_the_registry_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A file of several bodies, as other formats have it: which is which stands in the manifest."""
+def test_the_bodies_of_one_export_are_told_apart_by_name(tmp_path: Path) -> None:
     camera(tmp_path / "cam0")
-    take = tmp_path / "take.csv"
-    take.write_text("Format Version,1.23\n")
-
-    def inspect(path: Path) -> SimpleNamespace:
-        if path != take:
-            raise GtcalError(f"{path}: is of no format that gtcal knows")
-        bodies = [SimpleNamespace(name=name, n_seen=7, rotation=None) for name in ("Headset", "Board")]
-        span = {"start_ns": 0, "duration_s": 1.5}
-        return SimpleNamespace(path=path, format="motive_csv", bodies=bodies, open_fields=("length_unit",), **span)
-
-    monkeypatch.setattr(readers, "inspect_mocap", inspect, raising=False)
+    takes = {name: wandering_trajectory(name, seed=seed).world_T_body for seed, name in enumerate(("Headset", "Board"))}
+    write_motive(tmp_path / "take.csv", takes)
     fields, _ = drafted(tmp_path)
     assert fields["capture"] == "tracked_platform"
-    entry = {"trajectory": "take.csv", "format": "motive_csv", "length_unit": "QUESTION"}
+    entry = {"trajectory": "take.csv", "format": "motive_csv"}
     assert fields["platform"] == entry | {"name": "Headset"}
     assert fields["board_body"] == entry | {"name": "Board"}
 
