@@ -3,7 +3,7 @@
 Headset recordings at 30 Hz with a mocap at 120 Hz and 0.1 mm of noise: the error of the offset, its NEES (1 where the
 stated sigma is true), and the cameras' position error beside that with the true clock.
 
-    python scripts/study_clock.py                 # five minutes on two cores
+    python scripts/study_clock.py                 # half an hour on two cores
 """
 
 from __future__ import annotations
