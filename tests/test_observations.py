@@ -60,18 +60,6 @@ def test_every_view_has_ref_T_body_at_its_time(capture: Capture, small_recording
             np.testing.assert_allclose(ref_T_body, expected_ref_T_body(recording, stamp_ns).matrix(), atol=1e-12)
 
 
-@pytest.mark.parametrize("capture", list(Capture))
-def test_the_twist_is_the_derivative_of_ref_T_body(capture: Capture, small_recording: Recording) -> None:
-    between_samples = with_stamps(small_recording, lambda stamps_ns: stamps_ns + 3 * MS)
-    recording = as_capture(between_samples, capture)
-    views = synchronise(recording).views["left"]
-    h_ns = MS // 20
-    for stamp_ns, twist in zip(views.stamps_ns, views.ref_twist_per_s, strict=True):
-        before, after = (expected_ref_T_body(recording, stamp_ns + side * h_ns) for side in (-1, 1))
-        numeric = gtsam.Pose3.Logmap(before.between(after)) / (2e-9 * h_ns)
-        np.testing.assert_allclose(twist, numeric, atol=1e-5)
-
-
 def test_corners_come_with_their_place_on_the_board(small_recording: Recording) -> None:
     for name, views in synchronise(small_recording).views.items():
         detections = small_recording.detections[name]

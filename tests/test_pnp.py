@@ -75,7 +75,6 @@ def _views(camera: Camera, board: AprilGrid, seen: list[tuple[np.ndarray, np.nda
         stamps_ns=np.arange(n),
         frame_index=np.arange(n),
         ref_T_body=np.tile(np.eye(4), (n, 1, 1)),
-        ref_twist_per_s=np.zeros((n, 6)),
         view_start=np.concatenate([[0], np.cumsum([len(ids) for ids, _ in seen])]),
         corner_ids=ids,
         corners_m=board.corners_m[ids],

@@ -215,7 +215,6 @@ def _repeated(evidence: CameraEvidence, times: int) -> CameraEvidence:
         stamps_ns=stamps_ns,
         frame_index=np.arange(len(stamps_ns)),
         ref_T_body=np.tile(views.ref_T_body, (times, 1, 1)),
-        ref_twist_per_s=np.tile(views.ref_twist_per_s, (times, 1)),
         view_start=np.append(start, times * views.n_corners),
         corner_ids=np.tile(views.corner_ids, times),
         corners_m=np.tile(views.corners_m, (times, 1)),

@@ -135,7 +135,8 @@ def test_the_capture_is_the_same_in_each_of_the_readmes_three_ways(way, filmed: 
     off_ns = np.abs(brought.images["cam0"].stamps_ns - filmed.images["cam0"].stamps_ns).max()
     assert off_ns <= (500_000 if way is as_motive_and_video else 0)  # Matroska keeps whole milliseconds
     stamps_ns = filmed.images["cam0"].stamps_ns
-    np.testing.assert_allclose(brought.motion.poses_at(stamps_ns)[0], filmed.motion.poses_at(stamps_ns)[0], atol=1e-6)
+    poses = [recording.motion.at(stamps_ns).ref_T_body for recording in (brought, filmed)]
+    np.testing.assert_allclose(*poses, atol=1e-6)
     ours, theirs = detected(filmed).detections["cam0"], detected(brought).detections["cam0"]
     np.testing.assert_array_equal(theirs.corner_ids, ours.corner_ids)
     np.testing.assert_array_equal(theirs.corners_px, ours.corners_px)

@@ -15,6 +15,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from gtcal.camera import FloatArray
+from gtcal.clock.local_motion import parabolas
 from gtcal.clock.rolling_shutter import readout_columns_px_per_s
 from gtcal.errors import GtcalError
 from gtcal.estimation.clustered import clustered_covariance
@@ -137,7 +138,7 @@ def noise_model(noise: MocapNoise) -> MocapNoiseModel:
 
 def _with_clock(frames: FrameMoments, motion: RefMotion, about_ns: int, *, drift: bool) -> FrameMoments:
     """The moments with a column for the offset, and one for its drift, before the residual's."""
-    twist = motion.at(frames.stamps_ns).twist_per_s
+    twist = parabolas(motion, frames.stamps_ns, motion.at(frames.stamps_ns).ref_T_body)[:, 0]
     basis = [twist]
     if drift:
         basis.append(twist * (1e-9 * (frames.stamps_ns - about_ns))[:, None])
@@ -146,7 +147,7 @@ def _with_clock(frames: FrameMoments, motion: RefMotion, about_ns: int, *, drift
     columns[:, : size - 1, : size - 1] = np.eye(size - 1)
     columns[:, size - 1, -1] = 1.0
     for k, along in enumerate(basis):
-        columns[:, :6, size - 1 + k] = np.nan_to_num(along)
+        columns[:, :6, size - 1 + k] = along
     moments = np.swapaxes(columns, 1, 2) @ frames.moments @ columns
     return replace(frames, moments=moments)
 

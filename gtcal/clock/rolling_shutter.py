@@ -2,8 +2,7 @@
 
 The corners are moved to where they would be had all rows been exposed at the image's stamp: by the difference of two
 projections through the chain, at the two times. What is left over is the residual at the row's own time. How the body
-moves meanwhile is a parabola through the mocap's poses around the image: a velocity from two neighbouring poses would
-carry ten times their noise.
+moves meanwhile is a parabola through the mocap's poses around the image (``gtcal.clock.local_motion``).
 """
 
 from __future__ import annotations
@@ -15,17 +14,14 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from factors.moments import chain
-from factors.rigid import inverse
 from gtcal.camera import FloatArray
+from gtcal.clock.local_motion import parabolas
 from gtcal.errors import GtcalError
 from gtcal.estimation.estimate import Estimate
 from gtcal.estimation.observations import Observations, Views
 from gtcal.recordings.capture import RefMotion
 
 _STEP_S = 1e-4  # of the central difference for a velocity in the image
-_FEWEST_INTERVALS = 6  # of the mocap, that a parabola is fitted to
-_POSE_SIGMA = 2e-4  # rad and m: how far the mocap's poses scatter; it only sets the prior's weight
-_WEAK_PRIOR = (0.0, 10.0**-2, 50.0**-2)  # 10 m/s, 50 m/s^2 or rad: felt only where a gap leaves too few poses
 
 
 def rolling(observations: Observations) -> tuple[str, ...]:
@@ -76,17 +72,17 @@ def row_shifts_px(views: Views, estimate: Estimate, motion: RefMotion) -> FloatA
             f"camera {views.camera.name!r} has a rolling shutter without readout_ms; give it in the manifest, or find "
             "it with --clock estimate"
         )
-    parabolas = _parabolas(views, motion, readout_s)
+    moving = _parabolas(views, motion, readout_s)
     after_s = readout_s * _readout_shares(views)
-    still = _projected(views, estimate, parabolas, np.zeros(views.n_corners))
-    return np.nan_to_num(_projected(views, estimate, parabolas, after_s) - still)
+    still = _projected(views, estimate, moving, np.zeros(views.n_corners))
+    return np.nan_to_num(_projected(views, estimate, moving, after_s) - still)
 
 
 def readout_columns_px_per_s(views: Views, estimate: Estimate, motion: RefMotion) -> FloatArray:
     """(N, 2) by how much each corner moves for every second of readout; 0 where it has no pixel."""
     readout_s = readout_s_of(views) or 0.0
-    parabolas, shares = _parabolas(views, motion, readout_s), _readout_shares(views)
-    before, after = (_projected(views, estimate, parabolas, readout_s * shares + dt) for dt in (-_STEP_S, _STEP_S))
+    moving, shares = _parabolas(views, motion, readout_s), _readout_shares(views)
+    before, after = (_projected(views, estimate, moving, readout_s * shares + dt) for dt in (-_STEP_S, _STEP_S))
     return np.nan_to_num((after - before) / (2.0 * _STEP_S) * shares[:, None])
 
 
@@ -98,41 +94,19 @@ def _readout_shares(views: Views) -> FloatArray:
 
 
 def _parabolas(views: Views, motion: RefMotion, readout_s: float) -> FloatArray:
-    """(V, 2, 6) velocity and half the acceleration of the body about each view's stamp, as rotation vector and shift in
-    the body's frame, fitted to the mocap's poses during the readout and a little before and after."""
+    """(V, 2, 6) of the body's motion during each view's readout."""
     shutter = views.camera.rolling_shutter
     assert shutter is not None
     first_s = -0.5 * readout_s if shutter.stamped_row == "middle" else 0.0
-    interval_s = max(trajectory.median_interval_s for trajectory in motion.trajectories.values())
-    margin_s = max(interval_s, 0.5 * (_FEWEST_INTERVALS * interval_s - readout_s))
-    n = 1 + round((readout_s + 2.0 * margin_s) / interval_s)
-    times_s = np.linspace(first_s - margin_s, first_s + readout_s + margin_s, n)
-    moved = _motion_since_stamp(views, motion, times_s)
-    known = np.isfinite(moved[..., 0])
-    powers = times_s[:, None] ** np.arange(3)
-    H = np.einsum("vk,ki,kj->vij", known.astype(float), powers, powers) / _POSE_SIGMA**2 + np.diag(_WEAK_PRIOR)
-    b = np.einsum("ki,vkc->vic", powers, np.nan_to_num(moved)) / _POSE_SIGMA**2
-    return np.asarray(np.linalg.solve(H, b)[:, 1:])
+    return parabolas(motion, views.stamps_ns, views.ref_T_body, first_s=first_s, last_s=first_s + readout_s)
 
 
-def _motion_since_stamp(views: Views, motion: RefMotion, times_s: FloatArray) -> FloatArray:
-    """(V, K, 6) rotation vector and shift from each view's pose to those at K times after its stamp; NaN in gaps."""
-    stamps_ns = views.stamps_ns[:, None] + np.rint(1e9 * times_s).astype(np.int64)
-    poses = motion.poses_at(stamps_ns.ravel())[0].reshape(*stamps_ns.shape, 4, 4)
-    since = inverse(views.ref_T_body)[:, None] @ poses
-    moved = np.full((*stamps_ns.shape, 6), np.nan)
-    known = np.isfinite(since).all(axis=(2, 3))
-    moved[known, :3] = Rotation.from_matrix(since[known][:, :3, :3]).as_rotvec()
-    moved[known, 3:] = since[known][:, :3, 3]
-    return moved
-
-
-def _projected(views: Views, estimate: Estimate, parabolas: FloatArray, after_s: FloatArray) -> FloatArray:
+def _projected(views: Views, estimate: Estimate, moving: FloatArray, after_s: FloatArray) -> FloatArray:
     """(N, 2) of the corners so long (N,) after their view's stamp; NaN where they have no pixel."""
     X, camera_T_ref = estimate.body_T_board, estimate.camera_T_ref[views.camera.name]
     in_body_m = views.corners_m @ X[:3, :3].T + X[:3, 3]
     view, dt = views.view_of_corner, after_s[:, None]
-    moved = dt * parabolas[view, 0] + dt**2 * parabolas[view, 1]
+    moved = dt * moving[view, 0] + dt**2 * moving[view, 1]
     in_body_m = Rotation.from_rotvec(moved[:, :3]).apply(in_body_m) + moved[:, 3:]
     camera_T_body = chain(camera_T_ref, views.ref_T_body, np.eye(4))[view]
     in_camera_m = np.einsum("nij,nj->ni", camera_T_body[:, :3, :3], in_body_m) + camera_T_body[:, :3, 3]

@@ -27,7 +27,7 @@ def shifted(
     for name, of_camera in observations.views.items():
         stamps_ns = moved_ns(of_camera.stamps_ns, offset_s[name], drift, middle_ns)
         poses = observations.motion.at(stamps_ns)
-        moved = replace(of_camera, stamps_ns=stamps_ns, ref_T_body=poses.ref_T_body, ref_twist_per_s=poses.twist_per_s)
+        moved = replace(of_camera, stamps_ns=stamps_ns, ref_T_body=poses.ref_T_body)
         if not poses.ok.all():
             lost = ~poses.ok
             n_corners = int(np.diff(of_camera.view_start)[lost].sum())

@@ -86,7 +86,6 @@ def views_of(camera: Camera, board: Board, detections: CameraDetections, *, most
         stamps_ns=picked.stamps_ns,
         frame_index=np.arange(n),
         ref_T_body=np.tile(np.eye(4), (n, 1, 1)),
-        ref_twist_per_s=np.zeros((n, 6)),
         view_start=picked.view_start,
         corner_ids=picked.corner_ids,
         corners_m=board.corners_m[picked.corner_ids],
@@ -152,7 +151,7 @@ def turn_misfit_rad(guides: Mapping[str, GuideViews], motion: RefMotion) -> floa
     It depends on no calibration (screw congruence, Chen 1991), and on rotations only. Infinite without views."""
     differences = []
     for guide in guides.values():
-        ref_T_body, _ = motion.poses_at(guide.views.stamps_ns)
+        ref_T_body = motion.at(guide.views.stamps_ns).ref_T_body
         known = np.isfinite(ref_T_body).all(axis=(1, 2))
         turned = turns_rad(guide.pnp_camera_T_board[known, 0]) - turns_rad(ref_T_body[known])
         differences.append(np.abs(turned).ravel())
@@ -162,9 +161,9 @@ def turn_misfit_rad(guides: Mapping[str, GuideViews], motion: RefMotion) -> floa
 
 def _posed(guide: GuideViews, motion: RefMotion, shift_s: float, board_scale: float) -> GuideViews:
     stamps_ns = guide.views.stamps_ns + round(shift_s * 1e9)
-    ref_T_body, gaps = motion.poses_at(stamps_ns)
-    index = np.flatnonzero(np.all([of_body == 0 for of_body in gaps.values()], axis=0))
-    views = replace(select_views(guide.views, index), ref_T_body=ref_T_body[index])
+    at = motion.at(stamps_ns)
+    index = np.flatnonzero(at.ok)
+    views = replace(select_views(guide.views, index), ref_T_body=at.ref_T_body[index])
     poses = guide.pnp_camera_T_board[index].copy()
     poses[..., :3, 3] *= board_scale
     moments = guide.corner_moments[index] * _moment_scale(board_scale)

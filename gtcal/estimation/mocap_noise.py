@@ -112,7 +112,7 @@ class NoiseBases:
     @staticmethod
     def of(motion: RefMotion, stamps_ns: IntArray) -> NoiseBases:
         unit = {"rotation": np.diag([1.0, 1, 1, 0, 0, 0]), "translation": np.diag([0.0, 0, 0, 1, 1, 1])}
-        ref_T_body, _ = motion.poses_at(stamps_ns)
+        ref_T_body = motion.at(stamps_ns).ref_T_body
         translation, rotation, jitter = {}, {}, np.zeros((len(stamps_ns), 6, 6))
         for name, trajectory in motion.trajectories.items():
             to_board = np.eye(6)[None] if name == "board_body" else _adjoint(inverse(ref_T_body))

@@ -23,8 +23,7 @@ class Views:
 
     stamps_ns: (V,) strictly increasing.
     frame_index: (V,) the view's place in ``Observations.frame_stamps_ns``: views of one frame share ref_T_body.
-    ref_T_body: (V, 4, 4), and its time derivative ref_twist_per_s: (V, 6), rotation first:
-        ref_T_body(t + dt) = ref_T_body(t) * Exp(ref_twist_per_s dt).
+    ref_T_body: (V, 4, 4) by the mocap.
     view_start: (V + 1,) int64.
     corner_ids: (N,) and corners_m: (N, 3) the same corners in the board frame.
     corners_px: (N, 2) where they were seen.
@@ -34,7 +33,6 @@ class Views:
     stamps_ns: IntArray
     frame_index: IntArray
     ref_T_body: FloatArray
-    ref_twist_per_s: FloatArray
     view_start: IntArray
     corner_ids: IntArray
     corners_m: FloatArray
@@ -109,13 +107,11 @@ def synchronise(recording: Recording, *, min_corners: int = 4) -> Observations:
 
 
 def _views(recording: Recording, name: str, detections: CameraDetections, frame_stamps_ns: IntArray) -> Views:
-    poses = recording.motion.at(detections.stamps_ns)
     return Views(
         camera=recording.cameras[name],
         stamps_ns=detections.stamps_ns,
         frame_index=np.searchsorted(frame_stamps_ns, detections.stamps_ns),
-        ref_T_body=poses.ref_T_body,
-        ref_twist_per_s=poses.twist_per_s,
+        ref_T_body=recording.motion.at(detections.stamps_ns).ref_T_body,
         view_start=detections.view_start,
         corner_ids=detections.corner_ids,
         corners_m=recording.board.corners_m[detections.corner_ids],

@@ -72,7 +72,6 @@ def select_views(views: Views, index: IntArray) -> Views:
         stamps_ns=views.stamps_ns[index],
         frame_index=views.frame_index[index],
         ref_T_body=views.ref_T_body[index],
-        ref_twist_per_s=views.ref_twist_per_s[index],
         view_start=start,
         corner_ids=views.corner_ids[rows],
         corners_m=views.corners_m[rows],

@@ -170,7 +170,7 @@ def _gap_s(stamps_ns: IntArray) -> float:
 
 
 def _with_pose(motion: RefMotion, stamps_ns: IntArray) -> float:
-    poses, _ = motion.poses_at(stamps_ns)
+    poses = motion.at(stamps_ns).ref_T_body
     return float(np.isfinite(poses[:, 0, 0]).mean())
 
 
@@ -207,7 +207,7 @@ def _turns(recording: Recording | LollypopRecording, cameras: dict[str, CameraSu
     """Of the board's body in ref at the views, which is what a calibration lives on."""
     if isinstance(recording, LollypopRecording):
         return
-    poses = [recording.motion.poses_at(c.times.stamps_ns)[0] for c in cameras.values()]
+    poses = [recording.motion.at(c.times.stamps_ns).ref_T_body for c in cameras.values()]
     seen = [p[np.isfinite(p[:, 0, 0])] for p in poses]
     if any(len(p) > 1 for p in seen):
         yield from turn_coverage([p for p in seen if len(p) > 1], recording.capture).missing

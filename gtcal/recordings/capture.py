@@ -42,13 +42,10 @@ class RefPosesAt:
     """ref_T_body at N query times.
 
     ref_T_body: (N, 4, 4), NaN where a trajectory has no pose.
-    twist_per_s: (N, 6) its time derivative, rotation first:
-        ref_T_body(t + dt) = ref_T_body(t) * Exp(twist_per_s dt).
     gaps: by the name of each tracked body, (N,) the values of ``Gap``.
     """
 
     ref_T_body: FloatArray
-    twist_per_s: FloatArray
     gaps: dict[str, IntArray]
 
     @property
@@ -85,17 +82,12 @@ class RefMotion:
         return trajectory.default_max_gap_s if self.max_gap_s is None else self.max_gap_s
 
     def at(self, stamps_ns: IntArray) -> RefPosesAt:
-        """ref_T_body and its twist at ``stamps_ns`` (N,), mocap clock."""
-        ref_T_body, gaps = self.poses_at(stamps_ns)
-        return RefPosesAt(ref_T_body, self._twist_per_s(stamps_ns, ref_T_body), gaps)
-
-    def poses_at(self, stamps_ns: IntArray) -> tuple[FloatArray, dict[str, IntArray]]:
-        """ref_T_body and the gaps as ``at`` gives them, for those that need no twist."""
+        """ref_T_body at ``stamps_ns`` (N,), mocap clock."""
         poses = {
             name: trajectory.interpolate(stamps_ns, self.gap_limit_s(trajectory))
             for name, trajectory in self.trajectories.items()
         }
-        return self._ref_T_body(poses), {name: at.gaps.astype(np.int64) for name, at in poses.items()}
+        return RefPosesAt(self._ref_T_body(poses), {name: at.gaps.astype(np.int64) for name, at in poses.items()})
 
     def _ref_T_body(self, poses: dict[str, PosesAt]) -> FloatArray:
         if self.capture is Capture.FIXED_CAMERAS:
@@ -104,16 +96,6 @@ class RefMotion:
         if self.capture is Capture.STANDING_BOARD:
             return platform_T_world
         return platform_T_world @ poses["board_body"].world_T_body
-
-    def _twist_per_s(self, stamps_ns: IntArray, ref_T_body: FloatArray) -> FloatArray:
-        """From ref_T_body = world_T_platform^-1 * world_T_board_body: the board body's twist less the platform's,
-        which the adjoint takes to the board body's frame."""
-        twist = np.zeros((len(stamps_ns), 6))
-        if self.board_body is not None:
-            twist += self.board_body.twist_per_s(stamps_ns)
-        if self.platform is not None:
-            twist -= _adjoint_apply(inverse(ref_T_body), self.platform.twist_per_s(stamps_ns))
-        return twist
 
 
 def check_bodies(capture: Capture, given: set[str]) -> None:
@@ -127,10 +109,3 @@ def check_bodies(capture: Capture, given: set[str]) -> None:
             f"{name}: capture {capture.value} has no use for it, only for {' and '.join(capture.bodies)}; "
             + (f"leave it out, or set capture: {fitting[0]}" if fitting else "leave it out")
         )
-
-
-def _adjoint_apply(a_T_b: FloatArray, twists_b: FloatArray) -> FloatArray:
-    """Ad(a_T_b) xi for N transforms and twists (N, 6), rotation first."""
-    angular = np.einsum("nij,nj->ni", a_T_b[:, :3, :3], twists_b[:, :3])
-    linear = np.einsum("nij,nj->ni", a_T_b[:, :3, :3], twists_b[:, 3:])
-    return np.concatenate([angular, linear + np.cross(a_T_b[:, :3, 3], angular)], axis=1)

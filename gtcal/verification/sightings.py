@@ -89,7 +89,7 @@ def sightings_of(
     unseen = n_frames(recording, name, frame_stamps_ns) - detections.n_views
     if unseen > 0:
         left_out.append(LeftOut(name, "the device is not found in the image", unseen))
-    gaps = recording.motion.poses_at(times.mocap_ns(camera, detections.stamps_ns))[1]
+    gaps = recording.motion.at(times.mocap_ns(camera, detections.stamps_ns)).gaps
     has_pose = _with_pose(recording.motion, gaps, leave_out)
     seen = _faces_seen(detections, device)
     seen = seen.select(has_pose[seen.view])
@@ -185,7 +185,7 @@ def _mocap_centres(
     in_body_m, camera_T_ref = recording.device.centres_in_body_m[seen.face], calibrated.camera_T_ref.a_T_b
 
     def in_camera_at(stamps_ns: IntArray) -> tuple[FloatArray, FloatArray]:
-        poses, _ = recording.motion.poses_at(stamps_ns)
+        poses = recording.motion.at(stamps_ns).ref_T_body
         in_ref_m = np.einsum("gij,gj->gi", poses[:, :3, :3], in_body_m) + poses[:, :3, 3]
         return poses, in_ref_m @ camera_T_ref[:3, :3].T + camera_T_ref[:3, 3]
 
