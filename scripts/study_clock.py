@@ -10,11 +10,10 @@ from __future__ import annotations
 
 import argparse
 import os
-from concurrent.futures import ProcessPoolExecutor
 
 import numpy as np
+from in_parallel import in_parallel
 from rich.console import Console
-from rich.progress import Progress
 from rich.table import Table
 
 from factors.rigid import inverse
@@ -54,9 +53,7 @@ def position_error_mm(calibration: Calibration, simulation: Simulation) -> float
 
 def study(recordings: int, seed: int, workers: int | None) -> np.ndarray:
     """(recordings, 4) outcomes."""
-    with ProcessPoolExecutor(workers) as pool, Progress(console=Console(stderr=True)) as progress:
-        seeds = range(seed, seed + recordings)
-        return np.array(list(progress.track(pool.map(outcome, seeds), total=recordings, description="recordings")))
+    return np.array(list(in_parallel(outcome, range(seed, seed + recordings), workers, "recordings")))
 
 
 def table_of(found: np.ndarray) -> Table:

@@ -15,13 +15,12 @@ from __future__ import annotations
 import argparse
 import os
 from collections.abc import Callable, Iterator
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 
 import gtsam
 import numpy as np
+from in_parallel import in_parallel
 from rich.console import Console
-from rich.progress import Progress
 from rich.table import Table
 from scipy.stats import norm
 
@@ -147,9 +146,7 @@ def _position_errors_mm(found: Calibration, simulation: Simulation) -> dict[int,
 def study(runs: int, seed: int, workers: int | None) -> list[Outcome]:
     """All scenarios, ``runs`` recordings each."""
     todo = [Run(scenario, seed + i) for scenario in SCENARIOS for i in range(runs)]
-    with ProcessPoolExecutor(workers) as pool, Progress(console=Console(stderr=True)) as progress:
-        found = progress.track(pool.map(outcome, todo, chunksize=2), total=len(todo), description="calibrating")
-        return [result for result in found if result is not None]
+    return [found for found in in_parallel(outcome, todo, workers, "calibrating") if found is not None]
 
 
 def tables(outcomes: list[Outcome]) -> Iterator[Table]:

@@ -12,14 +12,13 @@ from __future__ import annotations
 import argparse
 import os
 from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
 import gtsam
 import numpy as np
+from in_parallel import in_parallel
 from rich.console import Console
-from rich.progress import Progress
 from rich.table import Table
 
 from factors import ROBUST_KERNELS, RobustKernel
@@ -75,9 +74,8 @@ def outcome(run: Run) -> tuple[float, float]:
 def study(runs: int, seed: int, workers: int | None) -> dict[str, np.ndarray]:
     """By method: (shares, 2) medians over the runs of the error in mm and of the NEES per degree of freedom."""
     todo = [Run(method, share, seed + i) for method in METHODS for share in SHARES for i in range(runs)]
-    with ProcessPoolExecutor(workers) as pool, Progress(console=Console(stderr=True)) as progress:
-        found = progress.track(pool.map(outcome, todo, chunksize=4), total=len(todo), description="calibrating")
-        results = np.array(list(found)).reshape(len(METHODS), len(SHARES), runs, 2)
+    found = list(in_parallel(outcome, todo, workers, "calibrating"))
+    results = np.array(found).reshape(len(METHODS), len(SHARES), runs, 2)
     return dict(zip(METHODS, np.median(results, axis=2), strict=True))
 
 

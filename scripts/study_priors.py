@@ -12,14 +12,13 @@ from __future__ import annotations
 
 import argparse
 import os
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
 import gtsam
 import numpy as np
+from in_parallel import in_parallel
 from rich.console import Console
-from rich.progress import Progress
 from rich.table import Table
 from scipy.spatial.transform import Rotation
 
@@ -81,9 +80,8 @@ def study(runs: int, seed: int, workers: int | None) -> dict[tuple[str, bool], n
     """By motion and whether the prior is wrong: (sigmas, 4) medians over the runs; of the warnings, their share."""
     cases = [(motion, wrong) for motion in MOTIONS for wrong in (False, True)]
     todo = [Run(*case, sigma, seed + i) for case in cases for sigma in SIGMAS_MM for i in range(runs)]
-    with ProcessPoolExecutor(workers) as pool, Progress(console=Console(stderr=True)) as progress:
-        found = progress.track(pool.map(outcome, todo, chunksize=4), total=len(todo), description="calibrating")
-        results = np.array(list(found), dtype=float).reshape(len(cases), len(SIGMAS_MM), runs, 4)
+    found = list(in_parallel(outcome, todo, workers, "calibrating"))
+    results = np.array(found, dtype=float).reshape(len(cases), len(SIGMAS_MM), runs, 4)
     medians = np.median(results, axis=2)
     medians[:, :, 3] = results[:, :, :, 3].mean(axis=2)
     return dict(zip(cases, medians, strict=True))

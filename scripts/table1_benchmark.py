@@ -10,13 +10,12 @@ from __future__ import annotations
 
 import argparse
 import os
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 
 import gtsam
 import numpy as np
+from in_parallel import in_parallel
 from rich.console import Console
-from rich.progress import Progress
 from rich.table import Table
 
 from gtcal.baselines.compare import JOINT, PAPER, STURM, compare
@@ -78,9 +77,7 @@ def tables(found: list[dict[str, dict[str, tuple[float, float]]]]) -> list[Table
 
 
 def study(recordings: int, seed: int, workers: int | None) -> list[dict[str, dict[str, tuple[float, float]]]]:
-    with ProcessPoolExecutor(workers) as pool, Progress(console=Console(stderr=True)) as progress:
-        seeds = range(seed, seed + recordings)
-        return list(progress.track(pool.map(outcome, seeds), total=recordings, description="recordings"))
+    return list(in_parallel(outcome, range(seed, seed + recordings), workers, "recordings"))
 
 
 def main() -> None:

@@ -12,14 +12,13 @@ from __future__ import annotations
 import argparse
 import os
 from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cache
 
 import gtsam
 import numpy as np
+from in_parallel import in_parallel
 from rich.console import Console
-from rich.progress import Progress
 from rich.table import Table
 from scipy.spatial.transform import Rotation
 
@@ -145,8 +144,7 @@ def _turned(estimate: Estimate, seed: int) -> Estimate:
 def study(starts: int, workers: int | None) -> Iterator[tuple[Variant, list[Outcome]]]:
     """The outcomes of each variant."""
     tasks = [(variant, seed) for variant in VARIANTS for seed in range(starts)]
-    with ProcessPoolExecutor(workers) as pool, Progress(console=Console(stderr=True)) as progress:
-        found = list(progress.track(pool.map(outcome, tasks, chunksize=10), total=len(tasks), description="solving"))
+    found = list(in_parallel(outcome, tasks, workers, "solving"))
     for i, variant in enumerate(VARIANTS):
         yield variant, found[i * starts : (i + 1) * starts]
 

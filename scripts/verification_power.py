@@ -11,13 +11,11 @@ from __future__ import annotations
 
 import argparse
 import os
-from collections.abc import Iterable
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
+from in_parallel import in_parallel
 from rich.console import Console
-from rich.progress import Progress
 from rich.table import Table
 
 from gtcal.simulation import MocapNoise
@@ -57,7 +55,8 @@ def main() -> None:
     mocap = MocapNoise(arguments.noise_mm, arguments.noise_deg, correlation_s=arguments.correlation_s)
     cases = [(0.0, 0.0), *((deg, 0.0) for deg in FAULTS_DEG), *((0.0, mm) for mm in FAULTS_MM)]
     runs = [Run(arguments.seed + seed, deg, mm, mocap) for deg, mm in cases for seed in range(arguments.runs)]
-    outcomes = np.array(list(_with_progress(runs, arguments.workers))).reshape(len(cases), arguments.runs, 2)
+    found = list(in_parallel(outcome, runs, arguments.workers, "verifying"))
+    outcomes = np.array(found).reshape(len(cases), arguments.runs, 2)
     table = Table(
         title=f"{arguments.runs} verifications each, mocap noise {mocap.translation_mm:g} mm, "
         f"{mocap.rotation_deg:g} deg, correlated over {mocap.correlation_s:g} s"
@@ -68,11 +67,6 @@ def main() -> None:
         what = f"turned by {deg:g} deg" if deg else f"shifted by {mm:g} mm" if mm else "none moved (false alarms)"
         table.add_row(what, str((results[:, 0] > 0).sum()), str(results[:, 1].sum()) if deg or mm else "-")
     Console().print(table)
-
-
-def _with_progress(runs: list[Run], workers: int) -> Iterable[tuple[int, bool]]:
-    with ProcessPoolExecutor(workers) as pool, Progress(console=Console(stderr=True)) as progress:
-        yield from progress.track(pool.map(outcome, runs, chunksize=4), total=len(runs), description="verifying")
 
 
 def _arguments() -> argparse.Namespace:

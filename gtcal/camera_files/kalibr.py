@@ -17,14 +17,16 @@ from factors.camera_models import KANNALA_BRANDT4
 from factors.rigid import inverse
 from gtcal.camera import FloatArray
 from gtcal.camera_files.fields import Field, row_text
-from gtcal.camera_files.lenses import KB4, RADTAN4, express
-from gtcal.camera_files.rig import Lens, ReadOptions, Rig, RigCamera, image_size, padded, rig_camera, with_pose
+from gtcal.camera_files.lenses import KB4, RADTAN4, Expressed, express
+from gtcal.camera_files.rig import ReadOptions, Rig, RigCamera, image_size, padded, rig_camera, with_pose
 from gtcal.documents import load_document
 from gtcal.files import write_text
 
 TITLE = "Kalibr's camchain"
 # Chains are printed with eight decimals or more.
 _SAME_POSE = 1e-5
+
+_DISTORTIONS = {"radtan": RADTAN4, "radial-tangential": RADTAN4, "equidistant": KB4}
 
 
 def recognises(document: object) -> bool:
@@ -86,22 +88,24 @@ def _camera(key: str, entry: Field, options: ReadOptions) -> RigCamera:
     stated = None if resolution is None else resolution.entries()
     if stated is not None and len(stated) != 2:
         raise entry["resolution"].error(f"has {len(stated)} numbers; expected width and height")
-    return rig_camera(entry, name, _lens(entry), image_size(entry, stated, options), options)
+    return rig_camera(entry, name, lens_of(entry), image_size(entry, stated, options), options)
 
 
-def _lens(entry: Field) -> Lens:
-    model = entry["camera_model"]
+def lens_of(entry: Field) -> Expressed:
+    """The lens of a block like those of a camchain, or of ASL's sensor.yaml, which spells some words out.
+
+    Raises GtcalError naming file and field for what is missing, wrong or no lens of gtcal's."""
+    model, distortion = entry["camera_model"], entry["distortion_model"]
     if model.text() != "pinhole":
         raise model.error(f"is {model.text()!r}, and gtcal has no such lens; expected pinhole")
     focal_and_centre = entry["intrinsics"].numbers(4)
-    distortion = entry["distortion_model"]
     if distortion.text() == "none":
         return padded(RADTAN4, focal_and_centre)
-    if distortion.text() not in ("radtan", "equidistant"):
-        raise distortion.error(f"is {distortion.text()!r}, and gtcal has no such lens; expected radtan or equidistant")
-    coefficients = entry["distortion_coeffs"].numbers(4)
-    form = RADTAN4 if distortion.text() == "radtan" else KB4
-    return padded(form, np.concatenate([focal_and_centre, coefficients]))
+    if distortion.text() not in _DISTORTIONS:
+        expected = ", ".join(_DISTORTIONS)
+        raise distortion.error(f"is {distortion.text()!r}, and gtcal has no such lens; expected one of {expected}")
+    coefficients = entry.first("distortion_coeffs", "distortion_coefficients").numbers(4)
+    return padded(_DISTORTIONS[distortion.text()], np.concatenate([focal_and_centre, coefficients]))
 
 
 def _poses(entries: Sequence[Field], names: Sequence[str]) -> tuple[str, str, list[FloatArray]]:

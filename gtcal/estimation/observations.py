@@ -10,7 +10,7 @@ from gtcal.board import Board
 from gtcal.camera import BoolArray, Camera, FloatArray
 from gtcal.errors import GtcalError
 from gtcal.recordings.capture import Capture, RefMotion
-from gtcal.recordings.detections import CameraDetections, IntArray
+from gtcal.recordings.detections import CameraDetections, IntArray, ViewRows
 from gtcal.recordings.recording import Recording
 from gtcal.recordings.trajectory import Gap
 
@@ -18,38 +18,18 @@ _TIME_UNITS = {3: "1,000", 6: "1,000,000", 9: "1,000,000,000"}
 
 
 @dataclass(frozen=True)
-class Views:
-    """The views of one camera that have a mocap pose. View v holds rows ``view_start[v]:view_start[v + 1]``.
+class Views(ViewRows):
+    """The views of one camera that have a mocap pose.
 
-    stamps_ns: (V,) strictly increasing.
     frame_index: (V,) the view's place in ``Observations.frame_stamps_ns``: views of one frame share ref_T_body.
     ref_T_body: (V, 4, 4) by the mocap.
-    view_start: (V + 1,) int64.
-    corner_ids: (N,) and corners_m: (N, 3) the same corners in the board frame.
-    corners_px: (N, 2) where they were seen.
+    corners_m: (N, 3) the corners in the board frame.
     """
 
     camera: Camera
-    stamps_ns: IntArray
     frame_index: IntArray
     ref_T_body: FloatArray
-    view_start: IntArray
-    corner_ids: IntArray
     corners_m: FloatArray
-    corners_px: FloatArray
-
-    @property
-    def n_views(self) -> int:
-        return len(self.stamps_ns)
-
-    @property
-    def n_corners(self) -> int:
-        return len(self.corner_ids)
-
-    @property
-    def view_of_corner(self) -> IntArray:
-        """(N,) the view each row belongs to."""
-        return np.repeat(np.arange(self.n_views), np.diff(self.view_start))
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,7 @@ from typing import Any
 
 import yaml
 
+from gtcal.camera_files.fields import Field
 from gtcal.errors import GtcalError
 from gtcal.overview.mocap_files import MOCAP_SUFFIXES, MocapBody, mocap_bodies
 from gtcal.recordings.bag_images import BAG_SUFFIXES, bag_images, image_topics
@@ -284,7 +285,7 @@ def _lenses(
     for path, block in documents.items():
         for name, camera in block.items():
             try:
-                lens = _lens(camera, path) if isinstance(camera, dict) else {}
+                lens = _lens(Field(path, str(name), camera)) if isinstance(camera, dict) else {}
             except GtcalError as error:
                 left.append(str(error))
                 continue
@@ -294,10 +295,10 @@ def _lenses(
     return found | in_place
 
 
-def _lens(block: Mapping[str, Any], path: Path) -> dict[str, Any]:
+def _lens(block: Field) -> dict[str, Any]:
     """Of Kalibr's and ASL's files, or of yac's, which may name the model alone."""
-    lens = lens_fields(block, path)
-    model = _LENSES_OF_YAC.get((str(block.get("proj_model")), str(block.get("dist_model"))))
+    lens = lens_fields(block)
+    model = _LENSES_OF_YAC.get((str(block.value.get("proj_model")), str(block.value.get("dist_model"))))
     return lens or ({} if model is None else {"model": model})
 
 

@@ -7,7 +7,7 @@ import re
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from gtcal.errors import GtcalError
 from gtcal.recordings.detections import IntArray
-from gtcal.recordings.images import GreyImage, Images, decode_grey, of_size, relative
+from gtcal.recordings.images import GreyImage, InOneFile, decode_grey, of_size, relative
 
 if TYPE_CHECKING:
     from rosbags.highlevel import AnyReader
@@ -48,57 +48,35 @@ _ENCODINGS: dict[str, tuple[int, int | None]] = {
 
 
 @dataclass(frozen=True)
-class BagImages:
-    """The V images of a topic in order of time.
+class BagImages(InOneFile):
+    """The V images of a topic in order of time, at the stamps of their headers.
 
-    path: the bag. topic: of sensor_msgs/Image or CompressedImage. received_ns: (V,) when each was recorded, by which
-    it is found. header_ns: (V,) the stamps of the headers. stamps_ns: (V,) the same with the offset.
-    """
+    topic: of sensor_msgs/Image or CompressedImage. received_ns: (V,) when each was recorded, by which it is found."""
 
-    path: Path
     topic: str
     received_ns: IntArray
-    header_ns: IntArray
-    offset_ns: int
     readers: _Readers
-    size_px: tuple[int, int] | None = None
-    notes: tuple[str, ...] = ()
-
-    def __len__(self) -> int:
-        return len(self.header_ns)
-
-    @property
-    def stamps_ns(self) -> IntArray:
-        return self.header_ns + self.offset_ns
 
     @property
     def files(self) -> tuple[Path, ...]:
         return tuple(sorted(f for f in self.path.iterdir() if f.is_file())) if self.path.is_dir() else (self.path,)
 
     @property
-    def inputs(self) -> tuple[Path, ...]:
-        return (self.path,)
-
-    @property
     def source(self) -> str:
         return f"topic {self.topic}"
-
-    def expecting(self, width_px: int, height_px: int) -> Images:
-        """The same images, of which ``read`` takes only those of this size."""
-        return replace(self, size_px=(width_px, height_px))
 
     def read(self, index: int) -> GreyImage:
         """One image as 8-bit grey, shape (height, width).
 
         Raises GtcalError where its encoding can't be read, its data are cut off, or it is not of the size expected."""
-        name = f"{self.path}, {self.topic} at {self.header_ns[index]} ns"
-        message = self.readers.message(int(self.received_ns[index]), int(self.header_ns[index]))
+        header_ns = int(self.stamps_ns[index]) - self.offset_ns
+        name = f"{self.path}, {self.topic} at {header_ns} ns"
+        message = self.readers.message(int(self.received_ns[index]), header_ns)
         return of_size(grey_of_message(message, name), self.size_px, name)
 
     def entry(self, camera: str, folder: Path) -> dict[str, Any]:
         """The fields of a manifest in ``folder``."""
-        offset = {"stamp_offset_ns": self.offset_ns} if self.offset_ns else {}
-        return {"bag": relative(self.path, folder), "topic": self.topic, **offset}
+        return {"bag": relative(self.path, folder), "topic": self.topic, **self.offset_entry()}
 
 
 def bag_images(path: Path, topic: str | None, offset_ns: int = 0) -> BagImages:
@@ -117,7 +95,7 @@ def bag_images(path: Path, topic: str | None, offset_ns: int = 0) -> BagImages:
     header_ns, received_ns = (np.array([entry[i] for entry in stamps], dtype=np.int64) for i in (0, 1))
     _check_stamps(path, topic, header_ns)
     notes = tuple(_clock_notes(path, topic, header_ns, received_ns))
-    return BagImages(path, topic, received_ns, header_ns, offset_ns, _Readers(path, topic), notes=notes)
+    return BagImages(path, header_ns + offset_ns, offset_ns, topic, received_ns, _Readers(path, topic), notes=notes)
 
 
 def image_topics(path: Path) -> dict[str, int]:

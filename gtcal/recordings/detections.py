@@ -33,10 +33,10 @@ class Cornered(Protocol):
 
 
 @dataclass(frozen=True)
-class CameraDetections:
-    """All views of one camera. View v holds rows ``view_start[v]:view_start[v + 1]`` of the corner columns.
+class ViewRows:
+    """Views of one camera. View v holds rows ``view_start[v]:view_start[v + 1]`` of the corner columns.
 
-    stamps_ns: (V,) strictly increasing time stamps, camera clock.
+    stamps_ns: (V,) strictly increasing time stamps.
     view_start: (V + 1,) first row of each view, and the number of rows.
     corner_ids: (N,) index into ``board.corners_m``, unique within a view.
     corners_px: (N, 2) pixels, integer coordinates at pixel centres.
@@ -59,6 +59,11 @@ class CameraDetections:
     def view_of_corner(self) -> IntArray:
         """(N,) the view each row belongs to."""
         return np.repeat(np.arange(self.n_views), np.diff(self.view_start))
+
+
+@dataclass(frozen=True)
+class CameraDetections(ViewRows):
+    """All views of one camera, at times of the camera's clock."""
 
     @staticmethod
     def from_views(views: Iterable[tuple[int, IntArray, FloatArray]]) -> CameraDetections:

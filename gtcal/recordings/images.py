@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import os
 import re
-from dataclasses import dataclass, replace
+from dataclasses import KW_ONLY, dataclass, replace
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, Self
 
 import cv2
 import numpy as np
@@ -122,6 +122,38 @@ class ImageSequence:
         rows = (f"{stamp},{path.name}\n" for stamp, path in zip(self.stamps_ns, self.paths, strict=True))
         write_text(folder / listing, "".join(["#timestamp [ns],filename\n", *rows]))
         return {"images": where, "image_list": listing}
+
+
+@dataclass(frozen=True)
+class InOneFile:
+    """What images have in common that one file, or one bag, holds. path: the file. stamps_ns: (V,) with ``offset_ns``,
+    which the manifest gives. size_px, notes: as ``ImageSequence`` has them."""
+
+    path: Path
+    stamps_ns: IntArray
+    offset_ns: int
+    _: KW_ONLY
+    size_px: tuple[int, int] | None = None
+    notes: tuple[str, ...] = ()
+
+    def __len__(self) -> int:
+        return len(self.stamps_ns)
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        return (self.path,)
+
+    @property
+    def inputs(self) -> tuple[Path, ...]:
+        return (self.path,)
+
+    def expecting(self, width_px: int, height_px: int) -> Self:
+        """The same images, of which ``read`` takes only those of this size."""
+        return replace(self, size_px=(width_px, height_px))
+
+    def offset_entry(self) -> dict[str, int]:
+        """The manifest's field of the offset, where there is one."""
+        return {"stamp_offset_ns": self.offset_ns} if self.offset_ns else {}
 
 
 def of_size(image: GreyImage, size_px: tuple[int, int] | None, name: str) -> GreyImage:

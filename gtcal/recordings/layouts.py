@@ -15,6 +15,8 @@ from typing import Any
 
 import yaml
 
+from gtcal.camera_files.fields import Field
+from gtcal.camera_files.kalibr import lens_of
 from gtcal.errors import GtcalError
 from gtcal.recordings.capture import Capture
 from gtcal.recordings.images import IMAGE_SUFFIXES, relative
@@ -139,9 +141,9 @@ def _lenses(folder: Path, cameras: dict[str, Path]) -> dict[str, tuple[dict[str,
     for name, camera in cameras.items():
         sensor = camera / "sensor.yaml"
         if sensor.is_file():
-            found[name] = (lens_fields(_yaml_fields(sensor), sensor), sensor)
+            found[name] = (lens_fields(Field(sensor, "", _yaml_fields(sensor))), sensor)
         elif chain is not None and isinstance(in_chain.get(name), Mapping):
-            found[name] = (lens_fields(in_chain[name], chain), chain)
+            found[name] = (lens_fields(Field(chain, name, in_chain[name])), chain)
     return {name: (lens, file) for name, (lens, file) in found.items() if lens}
 
 
@@ -155,32 +157,14 @@ def _yaml_fields(path: Path) -> dict[str, Any]:
     return found if isinstance(found, dict) else {}
 
 
-def lens_fields(block: Mapping[str, Any], path: Path) -> dict[str, Any]:
+def lens_fields(block: Field) -> dict[str, Any]:
     """A lens as ASL's sensor.yaml and Kalibr's camchain describe it, as fields of a manifest; nothing where the block
-    describes none. Kalibr's ``distortion_coeffs`` are ASL's ``distortion_coefficients``.
+    describes none.
 
     Raises GtcalError where its model is one that gtcal has not, or the numbers are not those of the model."""
-    coefficients = block.get("distortion_coefficients", block.get("distortion_coeffs"))
-    if coefficients is None or any(name not in block for name in _LENS_FIELDS):
+    if any(name not in block for name in _LENS_FIELDS):
         return {}
-    model, distortion = str(block["camera_model"]), str(block["distortion_model"])
-    if model != "pinhole" or distortion not in _DISTORTIONS:
-        raise GtcalError(
-            f"{path}: camera_model {model!r} with distortion_model {distortion!r} is none that gtcal has; expected "
-            f"pinhole with {', '.join(_DISTORTIONS)}"
-        )
-    name, parameters = _DISTORTIONS[distortion]
-    numbers = [*block["intrinsics"], *coefficients]
-    if len(numbers) < len(parameters) or any(numbers[len(parameters) :]):
-        raise GtcalError(
-            f"{path}: {len(block['intrinsics'])} intrinsics and {len(coefficients)} distortion coefficients are not "
-            f"those of {distortion}; expected 4 and {len(parameters) - 4}"
-        )
-    given = {parameter: float(number) for parameter, number in zip(parameters, numbers, strict=False)}
-    extra = {"k3": 0.0} if name == "pinhole_radtan" else {}
-    return {"model": name, "image_size_px": [int(side) for side in block["resolution"]], "parameters": given | extra}
-
-
-_RADTAN = ("pinhole_radtan", ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2"))
-_EQUIDISTANT = ("kannala_brandt4", ("fx", "fy", "cx", "cy", "k1", "k2", "k3", "k4"))
-_DISTORTIONS = {"radial-tangential": _RADTAN, "radtan": _RADTAN, "equidistant": _EQUIDISTANT}
+    lens = lens_of(block)
+    parameters = dict(zip(lens.model.parameter_names, lens.theta.tolist(), strict=True))
+    size_px = [side.size() for side in block["resolution"].entries()]
+    return {"model": lens.model.name, "image_size_px": size_px, "parameters": parameters}

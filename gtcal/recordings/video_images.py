@@ -10,7 +10,7 @@ from __future__ import annotations
 import threading
 from collections import OrderedDict
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -20,7 +20,7 @@ import numpy as np
 from gtcal.cores import n_cores
 from gtcal.errors import GtcalError
 from gtcal.recordings.detections import IntArray
-from gtcal.recordings.images import GreyImage, Images, of_size, relative
+from gtcal.recordings.images import GreyImage, InOneFile, of_size, relative
 
 if TYPE_CHECKING:
     from av.container import InputContainer
@@ -38,40 +38,17 @@ _REFUSE_DAMAGE = "crccheck+bitstream+buffer+explode"
 
 
 @dataclass(frozen=True)
-class VideoImages:
-    """The V frames of a video in order of time.
+class VideoImages(InOneFile):
+    """The V frames of a video in order of time; stamps count from the first frame, whose time is ``offset_ns``.
 
-    path: the file. stream: the number of its video stream. pts: (V,) the frames' time stamps in units of the stream.
-    stamps_ns: (V,) the same in ns since the first frame, plus ``offset_ns``, the first frame's time.
-    """
+    stream: the number of the file's video stream."""
 
-    path: Path
     stream: int
-    pts: IntArray
-    stamps_ns: IntArray
-    offset_ns: int
     decoder: _Decoder
-    size_px: tuple[int, int] | None = None
-    notes: tuple[str, ...] = ()
-
-    def __len__(self) -> int:
-        return len(self.pts)
-
-    @property
-    def files(self) -> tuple[Path, ...]:
-        return (self.path,)
-
-    @property
-    def inputs(self) -> tuple[Path, ...]:
-        return (self.path,)
 
     @property
     def source(self) -> str:
         return f"stream {self.stream}"
-
-    def expecting(self, width_px: int, height_px: int) -> Images:
-        """The same images, of which ``read`` takes only those of this size."""
-        return replace(self, size_px=(width_px, height_px))
 
     def read(self, index: int) -> GreyImage:
         """One frame as 8-bit grey, shape (height, width).
@@ -99,7 +76,7 @@ def video_images(path: Path, offset_ns: int, stream: str | None = None) -> Video
     decoder = _Decoder(path, index, pts)
     first = decoder.look(0)
     notes = (*_notes(path, stamps_ns, first), *_depth_notes(path, first))
-    return VideoImages(path, index, pts, stamps_ns + offset_ns, offset_ns, decoder, notes=notes)
+    return VideoImages(path, stamps_ns + offset_ns, offset_ns, index, decoder, notes=notes)
 
 
 def _av() -> Any:

@@ -9,7 +9,7 @@ import struct
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +18,7 @@ import numpy as np
 
 from gtcal.errors import GtcalError
 from gtcal.recordings.detections import IntArray
-from gtcal.recordings.images import GreyImage, Images, of_size, relative
+from gtcal.recordings.images import GreyImage, InOneFile, of_size, relative
 
 VRS_SUFFIXES = (".vrs",)
 CAPTURE_FIELD = "capture_timestamp_ns"
@@ -29,40 +29,18 @@ _TO_GREY = {"rgb8": cv2.COLOR_RGB2GRAY, "bgr8": cv2.COLOR_BGR2GRAY}
 
 
 @dataclass(frozen=True)
-class VrsImages:
+class VrsImages(InOneFile):
     """The V images of a stream in order of time.
 
-    path: the file. stream: its id, as 1201-1. records: (V,) the numbers of the images among the stream's data records.
-    stamps_ns: (V,) with the offset.
-    """
+    stream: its id, as 1201-1. records: (V,) the numbers of the images among the stream's data records."""
 
-    path: Path
     stream: str
     records: IntArray
-    stamps_ns: IntArray
-    offset_ns: int
     readers: _Readers
-    size_px: tuple[int, int] | None = None
-    notes: tuple[str, ...] = ()
-
-    def __len__(self) -> int:
-        return len(self.records)
-
-    @property
-    def files(self) -> tuple[Path, ...]:
-        return (self.path,)
-
-    @property
-    def inputs(self) -> tuple[Path, ...]:
-        return (self.path,)
 
     @property
     def source(self) -> str:
         return f"stream {self.stream}"
-
-    def expecting(self, width_px: int, height_px: int) -> Images:
-        """The same images, of which ``read`` takes only those of this size."""
-        return replace(self, size_px=(width_px, height_px))
 
     def read(self, index: int) -> GreyImage:
         """One image as 8-bit grey, shape (height, width).
@@ -73,8 +51,7 @@ class VrsImages:
 
     def entry(self, camera: str, folder: Path) -> dict[str, Any]:
         """The fields of a manifest in ``folder``."""
-        offset = {"stamp_offset_ns": self.offset_ns} if self.offset_ns else {}
-        return {"vrs": relative(self.path, folder), "stream": self.stream, **offset}
+        return {"vrs": relative(self.path, folder), "stream": self.stream, **self.offset_entry()}
 
 
 def vrs_images(path: Path, stream: str | None, offset_ns: int = 0) -> VrsImages:
@@ -96,7 +73,8 @@ def vrs_images(path: Path, stream: str | None, offset_ns: int = 0) -> VrsImages:
     same = np.flatnonzero(np.diff(stamps_ns[order]) == 0)
     if len(same):
         raise GtcalError(f"{path}: two images of stream {stream} have the time stamp {stamps_ns[order][same[0]]} ns")
-    return VrsImages(path, stream, order, stamps_ns[order] + offset_ns, offset_ns, _Readers(path, stream), notes=notes)
+    stamps_ns = stamps_ns[order] + offset_ns
+    return VrsImages(path, stamps_ns, offset_ns, stream, order, _Readers(path, stream), notes=notes)
 
 
 def image_streams(path: Path) -> dict[str, int]:
