@@ -85,14 +85,15 @@ def test_a_drifting_clock_is_straightened() -> None:
     assert "growing by -" in clock.statement
 
 
-def test_a_recording_that_is_not_synchronised_is_said_not_to_be() -> None:
-    found = calibrate(late(0.0083).recording)
+@pytest.mark.parametrize("seed", range(3))
+def test_a_recording_that_is_not_synchronised_is_said_not_to_be(seed: int) -> None:
+    found = calibrate(late(0.0083, seed).recording)
     (warning,) = [w for w in found.warnings if "the data want" in w]
     assert "-8." in warning
     assert "but the recording is taken as synchronised: --clock estimate" in warning
     assert found.clock.corrected is False
-    assert not [w for w in calibrate(late(0.0).recording).warnings if "the data want" in w]
-    assert calibrate(late(0.0083).recording, CalibrationOptions(clock="trust")).clock is None
+    assert not [w for w in calibrate(late(0.0, seed).recording).warnings if "the data want" in w]
+    assert calibrate(late(0.0083, seed).recording, CalibrationOptions(clock="trust")).clock is None
 
 
 def test_shifting_is_what_synchronising_at_other_times_gives() -> None:

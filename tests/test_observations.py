@@ -8,7 +8,7 @@ from support import random_detections
 
 from factors.rigid import inverse
 from gtcal.errors import GtcalError
-from gtcal.estimation.observations import synchronise
+from gtcal.estimation.observations import Dropped, pooled, synchronise
 from gtcal.recordings.capture import Capture
 from gtcal.recordings.detections import CameraDetections
 from gtcal.recordings.recording import Recording, load_recording
@@ -163,3 +163,9 @@ def test_the_real_vicon_recording_keeps_all_its_views(vicon_recording: Callable)
     # What is between them is the pose of the board's body in the world, which stood still to within mocap noise.
     world_T_body = inverse(standing.views["cam0"].ref_T_body) @ with_board.views["cam0"].ref_T_body
     assert np.ptp(world_T_body[:, :3, 3], axis=0).max() < 1e-3
+
+
+def test_what_is_dropped_twice_for_one_reason_is_one_entry() -> None:
+    parts = [Dropped("left", "gap", 1, 30), Dropped("right", "gap", 2, 40), Dropped("left", "gap", 3, 5)]
+    assert pooled(parts) == (Dropped("left", "gap", 4, 35), Dropped("right", "gap", 2, 40))
+    assert pooled([*parts[:2], Dropped("left", "gross", 1, 9)])[2].reason == "gross"

@@ -30,6 +30,9 @@ SETTLED_PX = 0.01
 DISAGREES_SIGMAS, DISAGREES_S = 5.0, 3e-4
 """A recording that is taken as synchronised is said not to be from here on."""
 
+SUSPECT_SIGMAS = 2.0
+"""... and looked into from here on: at wrong times the sigma is that of the errors that they make."""
+
 _MOST_ROUNDS = 8
 
 
@@ -166,14 +169,14 @@ def tested(calibration: Calibration, observations: Observations, options: Calibr
     except GtcalError:
         return calibration
     found = _Times(left.offset_s, left.sigma_s)
-    if not _disagrees(found):
+    if not _disagrees(found, SUSPECT_SIGMAS):
         return replace(calibration, clock=_shared(calibration, found))
-    try:  # at the wrong times the sigma is that of the errors they make
+    try:
         found = _found(observations, options, middle_ns(observations.views))
     except GtcalError:
         return replace(calibration, clock=_shared(calibration, found))
     clock = _shared(calibration, found)
-    if not _disagrees(found):
+    if not _disagrees(found, DISAGREES_SIGMAS):
         return replace(calibration, clock=clock)
     warning = (
         f"the data want {clock.statement} added to the cameras' stamps, but the recording is taken as synchronised: "
@@ -182,8 +185,8 @@ def tested(calibration: Calibration, observations: Observations, options: Calibr
     return replace(calibration, clock=clock, warnings=(*calibration.warnings, warning))
 
 
-def _disagrees(found: _Times) -> bool:
-    return abs(found.offset_s) >= max(DISAGREES_S, DISAGREES_SIGMAS * found.sigma_s)
+def _disagrees(found: _Times, sigmas: float) -> bool:
+    return abs(found.offset_s) >= max(DISAGREES_S, sigmas * found.sigma_s)
 
 
 def _shared(calibration: Calibration, found: _Times) -> Clock:

@@ -137,9 +137,9 @@ def _gross_views(
 
 
 def _without(adjusted: Adjusted, gross: Mapping[str, BoolArray]) -> tuple[Adjusted, tuple[Dropped, ...]]:
-    """The adjusted views less the gross ones; all of them where too few would be left."""
+    """The adjusted views less the gross ones; all of them where those are most: then it is the noise that is wrong."""
     views = adjusted.screened.views
-    if not gross or any((~mask).sum() < _FEWEST_VIEWS for mask in gross.values()):
+    if not gross or any(mask.mean() > _MOST_GROSS for mask in gross.values()):
         return adjusted, ()
     dropped = tuple(
         Dropped(name, _GROSS, int(mask.sum()), _n_corners(views[name], mask))
@@ -151,7 +151,7 @@ def _without(adjusted: Adjusted, gross: Mapping[str, BoolArray]) -> tuple[Adjust
     return replace(adjusted, screened=screened), dropped
 
 
-_FEWEST_VIEWS = 3
+_MOST_GROSS = 0.5
 _LEAST_GAIN = 0.05  # a step of a third of a sigma
 _AT_EDGE = "at the edge of the lens's field, where free intrinsics get stuck"
 _GROSS = "mocap pose off by more than its noise explains"

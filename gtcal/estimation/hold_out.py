@@ -82,9 +82,9 @@ def hold_out(
     free_theta: bool,
     information: FloatArray,
 ) -> HoldOut:
-    """The sums of ``FOLDS`` blocks of time round an estimate."""
-    blocks = []
-    for block in np.array_split(frames_of(views), FOLDS):
+    """The sums of ``FOLDS`` blocks of time round an estimate; of as many as there are frames, where these are fewer."""
+    blocks, frames = [], frames_of(views)
+    for block in np.array_split(frames, min(FOLDS, len(frames))):
         exact, noisy = np.zeros_like(information), np.zeros_like(information)
         for moments in in_parts(views, estimate, block, sigma_px=sigma_px, free_theta=free_theta):
             covariance = noise.covariance(motion, moments.stamps_ns)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -40,6 +41,15 @@ class Dropped:
     reason: str
     n_views: int
     n_corners: int
+
+
+def pooled(dropped: Iterable[Dropped]) -> tuple[Dropped, ...]:
+    """What was left out of each camera for each reason, in one entry each, in the order of the first."""
+    counts: dict[tuple[str, str], tuple[int, int]] = {}
+    for part in dropped:
+        n_views, n_corners = counts.get((part.camera, part.reason), (0, 0))
+        counts[part.camera, part.reason] = n_views + part.n_views, n_corners + part.n_corners
+    return tuple(Dropped(*which, *count) for which, count in counts.items())
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from gtcal.estimation.clustered import clustered
 from gtcal.estimation.errors_in_variables import model_mocap_noise, whiteness
 from gtcal.estimation.estimate import Estimate
 from gtcal.estimation.motion import check_turning, turning
-from gtcal.estimation.observations import Dropped, Observations, Views
+from gtcal.estimation.observations import Dropped, Observations, Views, pooled
 from gtcal.estimation.options import CalibrationOptions
 from gtcal.estimation.pnp import solve_pnp
 from gtcal.estimation.priors import contradictions
@@ -101,7 +101,7 @@ def calibrate_observations(
         estimates=found.estimates,
         mocap_noise=found.noise,
         stages=(*earlier, *reports, *later),
-        dropped=observations.dropped + found.dropped,
+        dropped=pooled(observations.dropped + found.dropped),
         warnings=(*_warnings(observations, adjusted, sigmas, options), *fit_warnings((*reports, *later))),
         provenance=provenance(options, inputs, time.perf_counter() - started),
         solution=Solution(adjusted.graph, adjusted.values, final, adjusted.screened.views),
