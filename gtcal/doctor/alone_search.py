@@ -42,6 +42,7 @@ NO_LENS, NO_LENS_PX = 3.0, 0.7
 """The intrinsics are called wrong where free ones are so many times, and so many pixels, better."""
 
 _FEW_VIEWS = 10
+_HOPEFUL_BOARDS = 12
 
 R = TypeVar("R", LensReading, BoardReading)
 
@@ -287,21 +288,22 @@ def with_board(recording: Recording, reading: BoardReading) -> Recording:
 
 def board_under_any_lens(recording: Recording) -> BoardReading | None:
     """The reading of the board under which the views of a camera without intrinsics fit some equidistant lens, at least
-    twice as well as under the one stated."""
+    twice as well as under the one stated: under a few lenses first, the most hopeful ones then under all."""
     name = max(recording.cameras, key=lambda camera: recording.detections[camera].n_corners)
     detections = recording.detections[name]
     lenses = equidistant_lenses(recording.cameras[name])
 
-    def misfit_px(board: Board, seen: CameraDetections) -> float:
+    def misfit_px(board: Board, seen: CameraDetections, lenses: list[Camera]) -> float:
         return min(_few(lens, seen, board) for lens in lenses)
 
-    tried = [
-        (reading, misfit_px(reading.board, reading.reread(detections))) for reading in board_readings(recording.board)
-    ]
-    if not tried:
+    readings = [(reading, reading.reread(detections)) for reading in board_readings(recording.board)]
+    if not readings:
         return None
+    roughly_px = [misfit_px(reading.board, seen, lenses[1::3]) for reading, seen in readings]
+    hopeful = sorted(np.argsort(roughly_px, kind="stable")[:_HOPEFUL_BOARDS])
+    tried = [(reading, misfit_px(reading.board, seen, lenses)) for reading, seen in (readings[i] for i in hopeful)]
     reading, after_px = _first_of_the_best(tried)
-    return reading if after_px <= CLEARLY * misfit_px(recording.board, detections) else None
+    return reading if after_px <= CLEARLY * misfit_px(recording.board, detections, lenses) else None
 
 
 def with_found_intrinsics(recording: Recording, names: frozenset[str]) -> Recording:
