@@ -132,6 +132,64 @@ def test_a_damaged_frame_is_told(tmp_path: Path) -> None:
         list(map(images.read, range(N)))
 
 
+def damaged(path: Path, seed: int) -> Path:
+    """A copy with three bytes in its middle eight tenths changed."""
+    chance = random.Random(seed)
+    data = bytearray(path.read_bytes())
+    at = chance.randrange(len(data) // 10, 9 * len(data) // 10)
+    for i in range(at, at + 3):
+        data[i] ^= chance.randrange(1, 256)
+    copy = path.with_stem(f"damaged_{seed}")
+    copy.write_bytes(data)
+    return copy
+
+
+def outcome(path: Path, right: list[np.ndarray]) -> str:
+    try:
+        images = video_images(path, 0)
+        frames = [images.read(index) for index in range(len(images))]
+    except GtcalError as error:
+        return "told" if str(error).startswith(str(path)) and "\n" not in str(error) else str(error)
+    same = len(frames) == len(right) and all(map(np.array_equal, frames, right))
+    return "same" if same else "unseen"
+
+
+def test_damage_in_lossless_video_is_always_told(tmp_path: Path) -> None:
+    path = write_video(tmp_path / "a.mkv", PICTURES, PTS, options={"slicecrc": "1", "level": "3"})
+    assert outcome(path, PICTURES) == "same"
+    found = [outcome(damaged(path, seed), PICTURES) for seed in range(30)]
+    assert "unseen" not in found
+    assert found.count("told") > 25
+
+
+def test_damage_in_h264_is_mostly_told(tmp_path: Path) -> None:
+    moving = [np.roll(np.kron(PICTURES[0], np.ones((4, 4), np.uint8)), i, axis=1) for i in range(N)]
+    path = write_video(
+        tmp_path / "a.mp4", moving, range(N), time_base=Fraction(1, 30), codec="libx264", pixel_format="yuv420p"
+    )
+    right = [video_images(path, 0).read(index) for index in range(N)]
+    found = [outcome(damaged(path, seed), right) for seed in range(30)]
+    assert found.count("told") >= 20
+
+
+@pytest.mark.parametrize("codec", ["libx264", "libx265"])
+def test_a_healthy_video_whose_groups_are_open_is_read_in_any_order(codec: str, tmp_path: Path) -> None:
+    parameters = f"{codec.removeprefix('lib')}-params"
+    path = write_video(
+        tmp_path / "a.mp4",
+        [np.kron(picture, np.ones((4, 4), np.uint8)) for picture in PICTURES],
+        range(N),
+        time_base=Fraction(1, 30),
+        codec=codec,
+        pixel_format="yuv420p",
+        options={parameters: "open-gop=1:keyint=12:min-keyint=12:bframes=3:log-level=none"},
+    )
+    images, again = video_images(path, 0), video_images(path, 0)
+    right = [images.read(index) for index in range(N)]
+    for index in random.Random(0).sample(range(N), N):
+        np.testing.assert_array_equal(again.read(index), right[index])
+
+
 def test_streams_are_named(tmp_path: Path) -> None:
     path = write_video(tmp_path / "a.mkv", PICTURES, PTS)
     assert len(video_images(path, 0, "0")) == N

@@ -10,6 +10,7 @@ from __future__ import annotations
 import threading
 from collections import OrderedDict
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
@@ -33,8 +34,10 @@ _SEEK_BEYOND = 16
 # A video ends with its last frame; one that lasts this many of its frames longer has lost some.
 _MISSING_FRAMES = 3
 _UNEVEN = 0.1
-# Decoders fill what is damaged with what they guess, unless told not to; damage that a codec can't tell stays unseen.
+# Decoders fill what is damaged with what they guess, unless told not to; most say so only in their log.
 _REFUSE_DAMAGE = "crccheck+bitstream+buffer+explode"
+# What they call an error and is none: cameras write APP fields of their own in JPEG.
+_HARMLESS = ("APP fields",)
 
 
 @dataclass(frozen=True)
@@ -198,6 +201,23 @@ def _depth_notes(path: Path, first: VideoFrame) -> Iterator[str]:
         yield f"{path}: its pixels of {deepest} bits are scaled to 8"
 
 
+_logging = threading.Lock()
+
+
+@contextmanager
+def _logged() -> Iterator[list[str]]:
+    """Collects the errors that decoders log meanwhile; they share one log."""
+    logging, said = _av().logging, list[str]()
+    with _logging, logging.Capture(local=False) as messages:
+        logging.set_level(logging.ERROR)
+        try:
+            yield said
+        finally:
+            logging.set_level(None)
+            words = (f"{name}: {' '.join(text.split())}" for level, name, text in messages if level <= logging.ERROR)
+            said += [error for error in words if not any(harmless in error for harmless in _HARMLESS)]
+
+
 class _Decoder:
     """Decodes one frame at a time, forward as long as frames are asked for nearly in order, else from a key frame.
     The last frames are kept: threads that share the video ask a little out of order."""
@@ -210,6 +230,7 @@ class _Decoder:
         self._container: InputContainer | None = None
         self._frames: Iterator[VideoFrame] = iter(())
         self._next = 0
+        self._from_start = False
 
     def frame(self, index: int) -> GreyImage:
         """(H, W) as 8-bit grey. Raises GtcalError where the frame can't be decoded."""
@@ -247,35 +268,47 @@ class _Decoder:
         if self._container is None:
             self._seek(None)
         wanted = int(self.pts[index])
-        try:
-            for frame in self._frames:
-                if frame.is_corrupt:
-                    raise GtcalError(f"{self.path}: the frame before frame {index} or itself is damaged")
-                if frame.pts is None or frame.pts < wanted:
-                    self._keep_passed(frame)
-                    continue
-                self._next = index + 1
-                return frame if frame.pts == wanted else None
-        except library.FFmpegError as error:
-            raise GtcalError(f"{self.path}: frame {index} can't be decoded: {_reason(error)}") from None
-        return None
+        found: VideoFrame | None = None
+        with _logged() as said:
+            try:
+                for frame in self._frames:
+                    if frame.is_corrupt and (self._from_start or frame.pts == wanted):
+                        raise GtcalError(f"{self.path}: the frame before frame {index} or itself is damaged")
+                    if frame.pts is None or frame.pts < wanted:
+                        self._keep_passed(frame)
+                        continue
+                    self._next = index + 1
+                    found = frame if frame.pts == wanted else None
+                    break
+            except library.FFmpegError as error:
+                raise GtcalError(f"{self.path}: frame {index} can't be decoded: {_reason(error)}") from None
+        if said and self._from_start:
+            raise GtcalError(
+                f"{self.path}: is damaged at or near frame {index}; the decoder says: {said[0]}. Copy it again, or cut "
+                "that part out"
+            )
+        return found
 
     def _keep_passed(self, frame: VideoFrame) -> None:
-        """One that was passed by is soon asked for by another thread."""
+        """One that was passed by is soon asked for by another thread. After a seek it may refer to frames before."""
+        if not self._from_start:
+            return
         at = int(np.searchsorted(self.pts, frame.pts)) if frame.pts is not None else len(self.pts)
         if at < len(self.pts) and self.pts[at] == frame.pts:
             self._keep(at, frame)
 
     def _seek(self, pts: int | None) -> None:
-        """To the key frame before this stamp; None: open the file anew."""
-        if self._container is None or pts is None:
-            if self._container is not None:
-                self._container.close()
-            self._container = _opened(self.path)
+        """To the key frame before this stamp; None: to the start. Only from there all that a frame refers to is known,
+        so that what the decoder finds wrong is damage."""
+        if self._container is not None:
+            self._container.close()
+        self._container = _opened(self.path)
         stream = self._container.streams[self.stream]
         assert isinstance(stream, _av().VideoStream)
-        stream.codec_context.options = {"err_detect": _REFUSE_DAMAGE}
-        if pts is not None:
+        if pts is None:
+            stream.codec_context.options = {"err_detect": _REFUSE_DAMAGE}
+        else:
             self._container.seek(pts, stream=stream)
+        self._from_start = pts is None
         self._next = 0 if pts is None else int(np.searchsorted(self.pts, pts))
         self._frames = self._container.decode(stream)
