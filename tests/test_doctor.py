@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache
@@ -30,6 +31,7 @@ from doctor_support import (
     write_lines,
     written,
 )
+from media_support import small_simulation
 
 from factors.rigid import inverse
 from gtcal import Diagnosis, GtcalError, diagnose, load_recording
@@ -50,6 +52,7 @@ from gtcal.simulation import (
     fixed_cameras_rig,
     quest3_like_rig,
     simulate,
+    write_simulation,
 )
 from gtcal.workflow import calibrate
 
@@ -600,6 +603,37 @@ def test_a_board_that_no_camera_sees_is_told(tmp_path: Path) -> None:
         cv2.imwrite(str(folder / "images" / f"{stamp_ns}.png"), np.full((1024, 1280), 200, np.uint8))
     write_lines(folder, ["cameras.cam0.images: images", "cameras.cam0.detections: null"])
     assert "no camera has a view of the board" in diagnose(folder).unexplained
+
+
+@pytest.fixture(scope="module", name="rendered")
+def _rendered(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_simulation(small_simulation(), tmp_path_factory.mktemp("images") / "r", images=True).parent
+
+
+@pytest.mark.parametrize(
+    ("stated", "lines"),
+    [
+        ({"tag_columns": 4, "tag_rows": 6}, ("board.tag_columns: 6", "board.tag_rows: 4")),
+        ({"dictionary": "DICT_5X5_50"}, ("board.dictionary: DICT_4X4_50",)),
+        (
+            {"first_tag_id": 100, "dictionary": "DICT_4X4_250"},
+            ("board.dictionary: DICT_4X4_50", "board.first_tag_id: 0"),
+        ),
+    ],
+)
+def test_the_board_that_the_images_show_is_named(
+    stated: dict[str, object], lines: tuple[str, ...], rendered: Path, tmp_path: Path
+) -> None:
+    folder = tmp_path / "r"
+    shutil.copytree(rendered, folder)
+    write_lines(folder, [line_of("board", A2 | stated), "cameras.cam0.detections: null"])
+    found = diagnose(folder)
+    assert found.findings[0].fault == "board"
+    assert "the images show tags of DICT_4X4_50, ids 0 to 23" in found.findings[0].says
+    assert found.lines == lines
+    assert found.unexplained is None
+    write_lines(folder, found.lines)
+    assert diagnose(folder).healthy
 
 
 # Lines of a manifest

@@ -21,7 +21,7 @@ from test_folder_layouts import CAMCHAIN, SENSOR, STAMPS_NS, body, camera
 from vrs_support import image_stream, write_vrs
 
 from gtcal.board import AprilGrid, ArucoGrid, Board, CharucoBoard
-from gtcal.overview.board_guess import guess_board
+from gtcal.detection.board_guess import guess_board
 from gtcal.overview.draft import draft
 from gtcal.overview.survey import survey
 from gtcal.readers import write_euroc_csv, write_tum

@@ -17,6 +17,7 @@ from gtcal.doctor.alone_search import (
     with_board,
     with_found_intrinsics,
 )
+from gtcal.doctor.board_in_images import board_in_images, board_lines
 from gtcal.doctor.board_readings import BoardReading, board_readings, scaled_board
 from gtcal.doctor.chain_search import (
     AS_GOOD,
@@ -27,7 +28,7 @@ from gtcal.doctor.chain_search import (
     ChainSearch,
     Explained,
 )
-from gtcal.doctor.findings import ALONE, BACKS, MISFIT, POSED, Diagnosis, Finding
+from gtcal.doctor.findings import ALONE, BACKS, MISFIT, POSED, SEEN, Diagnosis, Finding
 from gtcal.doctor.fit import NO_CHAIN, AloneFit, ChainFit
 from gtcal.doctor.lens_readings import mirrored
 from gtcal.doctor.manifest_lines import ManifestFile, line_of
@@ -103,7 +104,7 @@ class Patient:
         self.findings: list[Finding] = []
         self.notes: list[str] = [note for images in recording.images.values() for note in images.notes]
         self.unexplained: str | None = None
-        self.recording = self._seeing(detected(recording, progress=progress))
+        self.recording = self._seeing(self._with_board_of_images(detected(recording, progress=progress)))
         self.free = frozenset(name for name, camera in self.recording.cameras.items() if camera.parameters is None)
         self.alone = AloneSearch(self.free, lambda name, other: source_lines(self.file, name, other))
         self._find_intrinsics()
@@ -152,6 +153,22 @@ class Patient:
             misfit_mm,
             float(np.rad2deg(fit.angle_rad)) if known else None,
         )
+
+    def _with_board_of_images(self, recording: Recording) -> Recording:
+        """Where no camera sees the board that was said, with the one that the images show."""
+        if any(of_camera.n_views for of_camera in recording.detections.values()):
+            return recording
+        found = board_in_images(recording)
+        if found is None:
+            return recording
+        board, says = found
+        given = {name: seen for name, seen in recording.detections.items() if name not in recording.images}
+        other = detected(replace(recording, board=board, detections=given), progress=self.progress)
+        n_views = sum(of_camera.n_views for of_camera in other.detections.values())
+        if n_views:
+            lines = board_lines(recording.board, board)
+            self._add(Mended(other, Finding("board", says, lines, (), SEEN, 0.0, float(n_views), "views")))
+        return other if n_views else recording
 
     def _seeing(self, recording: Recording) -> Recording:
         """Without the cameras that have no view. Raises GtcalError where that is all of them."""

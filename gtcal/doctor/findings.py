@@ -7,6 +7,7 @@ from dataclasses import dataclass
 MISFIT = "median misfit of mocap and images"
 ALONE = "distance that four fifths of the corners keep, each view with a board pose of its own"
 POSED = "views that the mocap has a pose for"
+SEEN = "views in which the board is found"
 BACKS = "views that see the board from behind"
 
 

@@ -13,8 +13,8 @@ import yaml
 
 from factors import CAMERA_MODELS
 from gtcal.board import BOARD_TYPES, PRESETS, board_from_manifest
+from gtcal.detection.board_guess import BoardGuess, guess_board
 from gtcal.errors import GtcalError
-from gtcal.overview.board_guess import BoardGuess, guess_board
 from gtcal.overview.mocap_files import MocapBody
 from gtcal.overview.survey import FoundBoard, FoundCamera, Survey
 from gtcal.recordings.capture import Capture

@@ -21,11 +21,13 @@ from gtcal.recordings.images import GreyImage, Images
 _ARUCO = {bits: tuple(f"DICT_{bits}X{bits}_{n}" for n in (50, 100, 250, 1000)) for bits in (4, 5, 6, 7)}
 _APRILTAGS = ("DICT_APRILTAG_36h11", "DICT_APRILTAG_36h10", "DICT_APRILTAG_25h9", "DICT_APRILTAG_16h5")
 _KALIBR_BORDER = 2
-_IMAGES = 8
+# All dictionaries are tried on a few images, the one that is found on more.
+_FEW_IMAGES, _MOST_IMAGES = 8, 40
 # Fewer tags are read by chance in any picture.
 _FEWEST_TAGS = 3
 _SURE_TAGS, _FEWEST_TO_ARRANGE, _MOST_COLUMNS = 8, 6, 40
-# An arrangement must place the tags this well, in units of the grid, and another one must not do nearly as well.
+# An arrangement must place the tags this well, in units of the grid, and another one must not do so in as many images
+# and nearly as well.
 _FITS, _FITS_BETTER = 0.15, 2.0
 
 
@@ -66,16 +68,25 @@ class _Arranged:
     columns: int
     rms: list[float] = field(default_factory=list)
 
+    @property
+    def n_fitting(self) -> int:
+        """The images that it fits."""
+        return sum(rms <= _FITS for rms in self.rms)
+
+    @property
+    def typical(self) -> float:
+        return float(np.median(self.rms)) if self.rms else np.inf
+
 
 def guess_board(images: Images) -> BoardGuess | None:
     """From some images, evenly spread. None where none shows three tags of one dictionary.
 
     Raises GtcalError where an image can't be read."""
-    shown = [images.read(int(i)) for i in np.unique(np.linspace(0, len(images) - 1, _IMAGES).astype(int))]
-    code = _best_code(shown)
+    code = _best_code([images.read(i) for i in _spread(len(images), _FEW_IMAGES)])
     if code is None:
         return None
     family, border = code
+    shown = (images.read(i) for i in _spread(len(images), _MOST_IMAGES))
     seen = [found for image in shown if len((found := _read(image, family, border)).ids)]
     counts = Counter(int(i) for found in seen for i in found.ids)
     # An id read once in many images is a misreading where others are read over and over.
@@ -85,6 +96,11 @@ def guess_board(images: Images) -> BoardGuess | None:
         return None
     seen = [_of(found, ids) for found in seen]
     return _described(seen, ids, family, border)
+
+
+def _spread(n: int, most: int) -> list[int]:
+    """At most so many of n, evenly spread."""
+    return [int(i) for i in np.unique(np.linspace(0, n - 1, most).astype(int))]
 
 
 def _described(seen: list[_Seen], ids: IntArray, family: str, border: int) -> BoardGuess:
@@ -150,13 +166,11 @@ def _arrangement(seen: list[_Seen], ids: IntArray, kinds: tuple[str, ...]) -> _A
         for kind in kinds
         for columns in range(2, min(int(ids.max()) + 2, _MOST_COLUMNS + 1))
     ]
-    fitting = sorted((c for c in candidates if c.rms), key=lambda c: float(np.median(c.rms)))
-    if not fitting or np.median(fitting[0].rms) > _FITS:
+    best, *others = sorted(candidates, key=lambda c: (-c.n_fitting, c.typical))
+    if best.typical > _FITS:
         return None
-    best, others = fitting[0], fitting[1:]
-    if others and np.median(others[0].rms) < _FITS_BETTER * np.median(best.rms):
-        return None
-    return best
+    as_good = [c for c in others if c.n_fitting == best.n_fitting and c.typical < _FITS_BETTER * best.typical]
+    return None if as_good else best
 
 
 def _fitted(seen: list[_Seen], kind: str, columns: int) -> _Arranged:
