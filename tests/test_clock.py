@@ -15,7 +15,7 @@ from cli_support import run
 
 from gtcal import CalibrationOptions, GtcalError, calibrate, load_recording, read_calibration, synchronise
 from gtcal.camera import RollingShutter
-from gtcal.clock.coarse import coarse_offset_s
+from gtcal.clock.coarse import coarse_offset_s, offset_of_turns_s
 from gtcal.clock.find import with_clock
 from gtcal.clock.rolling_shutter import straightened
 from gtcal.clock.shift import shifted
@@ -120,6 +120,8 @@ def test_what_does_not_tell_is_refused() -> None:
 
     with pytest.raises(GtcalError, match="too few views to find"):
         coarse_offset_s(first(2))
+    with pytest.raises(GtcalError, match="too few views to find"):
+        offset_of_turns_s([], observations.motion)  # of no camera
     with pytest.raises(GtcalError, match="clock_drift asks for a clock that is estimated"):
         CalibrationOptions(clock_drift=True)
     with pytest.raises(GtcalError, match="of a clock that all cameras share"):

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from calibration_support import simulated
+from calibration_support import HEADSET, simulated
 
 from gtcal.estimation.adjustment import adjust
 from gtcal.estimation.alignment import GuideViews, stage_1, stage_2
@@ -179,6 +179,13 @@ def test_a_view_whose_corners_lie_on_a_line_or_nowhere_does_no_harm() -> None:
 def test_too_few_frames_tell_no_noise() -> None:
     frames, observations, information = moments_of(simulated(mocap=TRUE, frames=60))
     assert estimate_noise(frames.take(np.arange(9)), observations.motion, information) is None
+
+
+def test_frames_that_leave_an_unknown_open_tell_no_noise() -> None:
+    frames, observations, information = moments_of(simulated(HEADSET))
+    moments = frames.moments.copy()
+    moments[:, 6, :], moments[:, :, 6] = 0.0, 0.0  # nothing is said of the first one
+    assert estimate_noise(replace(frames, moments=moments), observations.motion, information) is None
 
 
 # Frame-clustered

@@ -52,10 +52,10 @@ def offset_of_turns_s(
     """``coarse_offset_s`` from the turns of each camera, looked for within ``reach_s`` of ``about_s`` where the mocap
     has this share of them or more."""
     parts = list(turns)
+    if sum(len(angle_rad) for _, _, angle_rad in parts) < _FEWEST_PAIRS:
+        raise GtcalError("too few views to find the clock offset from: film more, or synchronise the clocks")
     first_ns, second_ns = (np.concatenate([part[i] for part in parts]) for i in range(2))
     angle_rad = np.concatenate([part[2] for part in parts])
-    if len(angle_rad) < _FEWEST_PAIRS:
-        raise GtcalError("too few views to find the clock offset from: film more, or synchronise the clocks")
     if np.median(angle_rad) < np.deg2rad(0.1):
         raise GtcalError("the board hardly turned between images, so its turns do not tell the clock offset")
     shifts_s = np.arange(about_s - reach_s, about_s + reach_s + step_s, step_s)

@@ -206,11 +206,15 @@ def _best(tried: list[Explained], stated: ChainFit, convincing: float) -> Explai
     return Explained(first.fit, first.readings, first.board_scale, first.shift_s, told)
 
 
-def _narrowed(function: Callable[[float], float], coarse: np.ndarray, half_width: float) -> float:
-    """Where the function is least: of the coarse places, then near it."""
-    values = [function(float(x)) for x in coarse]
+def _narrowed(angle_rad: Callable[[float], float], coarse: np.ndarray, half_width: float) -> float:
+    """Where the angle is least: of the coarse places, then near it."""
+
+    def finite(x: float) -> float:
+        return min(angle_rad(x), np.pi)
+
+    values = [finite(float(x)) for x in coarse]
     best = float(coarse[int(np.argmin(values))])
     found = minimize_scalar(
-        function, bounds=(best - half_width, best + half_width), method="bounded", options={"xatol": 3e-4}
+        finite, bounds=(best - half_width, best + half_width), method="bounded", options={"xatol": 3e-4}
     )
     return float(found.x) if found.fun < min(values) else best

@@ -155,9 +155,16 @@ def estimate_noise(frames: FrameMoments, motion: RefMotion, information: FloatAr
     """The mocap's noise that the frames show, gross ones left aside. information: (P + 1, P + 1) what else is known of
     the unknowns (priors).
 
-    None where the frames are too few to tell."""
+    None where the frames are too few to tell, or leave an unknown open."""
     if 6 * len(frames.frame_index) - frames.n_unknowns < FEWEST_NUMBERS:
         return None
+    try:
+        return _estimated(frames, motion, information)
+    except np.linalg.LinAlgError:
+        return None
+
+
+def _estimated(frames: FrameMoments, motion: RefMotion, information: FloatArray) -> MocapNoiseModel:
     problem = _Likelihood.of(frames, motion, information)
     sigmas = problem.first_guess
     gross = np.zeros(len(frames.frame_index), dtype=bool)
