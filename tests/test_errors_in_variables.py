@@ -11,8 +11,10 @@ import pytest
 from factors.rigid import inverse
 from gtcal import CalibrationOptions, GtcalError, calibrate_observations, synchronise
 from gtcal.estimation import errors_in_variables
+from gtcal.estimation.adjustment import adjust
 from gtcal.estimation.mocap_noise import MocapNoiseModel
 from gtcal.estimation.options import MocapSigmas
+from gtcal.estimation.solver import DisagreementError
 from gtcal.recordings.capture import Capture
 from gtcal.results.calibration import PoseEstimate, pose_difference
 from gtcal.results.covariance import CLUSTERED, ERRORS_IN_VARIABLES, NAIVE
@@ -122,6 +124,10 @@ def test_bad_choices_are_refused():
         MocapSigmas(translation_mm=0.0, rotation_deg=0.01)
     with pytest.raises(GtcalError, match="stages leave it out"):
         CalibrationOptions(mocap=SIGMAS, stages=(1, 2))
+    for choice in ({"mocap": None}, {"intrinsics": "refined"}, {"intrinsics_prior": ""}, {"clock": "off"}):
+        ((name, value),) = choice.items()
+        with pytest.raises(GtcalError, match=f"^{name}: {value!r} is none of "):
+            CalibrationOptions(**choice)
 
 
 def edge_case():
@@ -162,11 +168,23 @@ def test_where_free_intrinsics_are_stuck_the_corners_at_the_edge_are_left_out(mo
     assert 0 < n_corners < 0.03 * sum(camera.residuals.n_corners for camera in found.cameras.values())
 
 
-@pytest.mark.parametrize("swapped", [0.3, 0.55, 0.8])
-def test_a_mocap_that_is_mostly_wrong_ends_in_no_traceback(swapped):
+@pytest.mark.parametrize("swapped", [0.55, 0.8])
+def test_a_mocap_that_is_mostly_wrong_is_refused(swapped):
     recorded = simulate(SimulationOptions(n_frames=20, swap_share=swapped), seed=3)
-    try:
-        found = calibrate_observations(synchronise(recorded.recording), CalibrationOptions())
-    except GtcalError:
-        return
-    assert found.warnings or swapped < 0.5
+    with pytest.raises(DisagreementError, match="no calibration fits"):
+        calibrate_observations(synchronise(recorded.recording), CalibrationOptions())
+
+
+@pytest.mark.parametrize(("gross_share", "left_out"), [(0.3, True), (0.7, False)])
+def test_gross_frames_are_left_out_unless_they_are_most(gross_share, left_out):
+    observations = synchronise(simulation(0).recording)
+    options = CalibrationOptions(mocap="exact")
+    found = calibrate_observations(observations, options)
+    adjusted = adjust(observations.views, found.solution.estimate, options)
+    views = adjusted.screened.views
+    gross = {name: np.arange(v.n_views) < gross_share * v.n_views for name, v in views.items()}
+    rest, dropped = errors_in_variables._without(adjusted, gross)
+    assert {d.camera for d in dropped} == (set(views) if left_out else set())
+    for name, of_camera in views.items():
+        kept = (~gross[name]).sum() if left_out else of_camera.n_views
+        assert rest.screened.views[name].n_views == kept

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Literal, get_args
 
 from factors import GAUSSIAN, RobustKernel
 from gtcal.errors import GtcalError
@@ -15,6 +15,10 @@ REDESCENDING = ("GemanMcClure", "TruncatedLeastSquares", "Tukey", "Welsch", "Cau
 IntrinsicsMode = Literal["fixed", "calibrate", "refine", "calibrate+refine"]
 """fixed: as the recording states them. calibrate: found first, by a plain calibration from the views. refine: solved
 for in stage 3, jointly with the extrinsics."""
+
+IntrinsicsPrior = Literal["weak", "stated"]
+
+MocapMode = Literal["estimate", "exact"]
 
 ClockMode = Literal["test", "estimate", "per_camera", "trust"]
 """test: the stamps are taken as they are, and a warning says what offset the data want. estimate: one offset between
@@ -64,13 +68,13 @@ class CalibrationOptions:
     Raises GtcalError for a choice that makes no sense."""
 
     intrinsics: IntrinsicsMode = "fixed"
-    intrinsics_prior: Literal["weak", "stated"] = "weak"
+    intrinsics_prior: IntrinsicsPrior = "weak"
     focal_sigma_px: float = 5.0
     centre_sigma_px: float = 5.0
     distortion_sigma: float = 0.01
     robust: RobustKernel = field(default=GAUSSIAN)
     sigma_px: float | None = None
-    mocap: MocapSigmas | Literal["estimate", "exact"] = "estimate"
+    mocap: MocapSigmas | MocapMode = "estimate"
     stages: tuple[int, ...] = (1, 2, 3)
     eps: float = 1e-4
     max_iterations: int = 100
@@ -86,6 +90,12 @@ class CalibrationOptions:
     def __post_init__(self) -> None:
         if not self.stages or not set(self.stages) <= {1, 2, 3} or list(self.stages) != sorted(set(self.stages)):
             raise GtcalError(f"stages: {self.stages} is not a choice of 1, 2 and 3 in their order")
+        modes = {"intrinsics": IntrinsicsMode, "intrinsics_prior": IntrinsicsPrior, "clock": ClockMode}
+        if not isinstance(self.mocap, MocapSigmas):
+            modes["mocap"] = MocapMode
+        for name, mode in modes.items():
+            if getattr(self, name) not in get_args(mode):
+                raise GtcalError(f"{name}: {getattr(self, name)!r} is none of {', '.join(get_args(mode))}")
         if self.refine_intrinsics and 3 not in self.stages:
             raise GtcalError("intrinsics are refined in stage 3, but stages leave it out")
         if isinstance(self.mocap, MocapSigmas) and 3 not in self.stages:
