@@ -223,10 +223,10 @@ def _threads() -> ThreadPoolExecutor:
 
 def _tasks(view_start: IntArray) -> list[tuple[int, int]]:
     """Ranges of views with about as many corners each, no more than there are cores."""
-    n_tasks = int(view_start[-1]) // _CORNERS_PER_TASK
-    if n_tasks > 1:  # asking for the number of cores takes longer than a view
-        n_tasks = min(n_tasks, os.cpu_count() or 1)
-    if n_tasks <= 1:
+    wanted = int(view_start[-1]) // _CORNERS_PER_TASK
+    # asking for the number of cores takes longer than a view
+    n_tasks = min(wanted, os.cpu_count() or 1) if wanted > 1 else 1
+    if n_tasks == 1:
         return [(0, len(view_start) - 1)]
     bounds = np.searchsorted(view_start, np.linspace(0, view_start[-1], n_tasks + 1)[1:-1])
     edges = [0, *(int(b) for b in bounds), len(view_start) - 1]

@@ -15,6 +15,7 @@ from support import EPOCH_NS, replace_once, wandering_trajectory
 from gtcal.errors import GtcalError
 from gtcal.readers import write_euroc_csv
 from gtcal.recordings.capture import Capture
+from gtcal.recordings.layouts import find_layout
 from gtcal.recordings.recording import load_recording
 from gtcal.verification.lollypop_recording import load_lollypop_recording
 
@@ -218,6 +219,18 @@ def test_a_lens_that_can_not_be_used_is_told(old: str, new: str, message: str, e
     with pytest.raises(GtcalError, match=message) as caught:
         load_recording(stated(euroc, HEAD + "capture: tracked_platform\n" + BOARD))
     assert "\n" not in str(caught.value)
+
+
+def test_zeros_for_coefficients_that_the_model_has_not_say_nothing(euroc: Path) -> None:
+    replace_once(euroc / "mav0" / "cam0" / "sensor.yaml", "1.76187114e-05]", "1.76187114e-05, 0.0]")
+    recording = load_recording(stated(euroc, HEAD + "capture: tracked_platform\n" + BOARD))
+    assert recording.cameras["cam0"].theta[-2:].tolist() == [1.76187114e-05, 0.0]
+
+
+def test_a_lens_without_coefficients_is_none(euroc: Path) -> None:
+    sensor = euroc / "mav0" / "cam0" / "sensor.yaml"
+    sensor.write_text("".join(line for line in sensor.read_text().splitlines(True) if "coefficients" not in line))
+    assert "cam0" not in find_layout(euroc).lenses
 
 
 def test_opencvs_yaml_head_is_skipped(euroc: Path) -> None:

@@ -40,8 +40,7 @@ def motion_of(capture: Capture) -> RefMotion:
 def test_the_velocity_is_the_derivative_of_ref_T_body(capture: Capture) -> None:
     motion = motion_of(capture)
     stamps_ns = np.array([200, 333, 415]) * 1_000_000
-    at = motion.at(stamps_ns).ref_T_body
-    found = parabolas(motion, stamps_ns, at)[:, 0]
+    found = parabolas(motion, stamps_ns)[:, 0]
     step_ns = 2_000_000
     before, after = (motion.at(stamps_ns + side * step_ns).ref_T_body for side in (-1, 1))
     for i, twist in enumerate(found):
@@ -63,7 +62,7 @@ def test_the_velocity_is_not_correlated_with_the_noise_of_the_pose(fraction: flo
     def correlation(velocity_m_s: np.ndarray) -> float:
         return float(np.corrcoef(velocity_m_s.ravel(), at[:, :3, 3].ravel())[0, 1])
 
-    assert abs(correlation(parabolas(motion, stamps_ns, at)[:, 0, 3:])) < 0.03  # three sigmas of chance
+    assert abs(correlation(parabolas(motion, stamps_ns)[:, 0, 3:])) < 0.03  # three sigmas of chance
     if fraction in (0.1, 0.9):  # the velocity of the interval itself is
         assert abs(correlation(body.twist_per_s(stamps_ns)[:, 3:])) > 0.5
 
@@ -74,10 +73,20 @@ def test_beside_a_gap_the_poses_that_are_there_tell() -> None:
     gappy = replace(whole, stamps_ns=whole.stamps_ns[kept], world_T_body=whole.world_T_body[kept])
     stamps_ns = whole.stamps_ns[49:50]
     velocities = [
-        parabolas(motion, stamps_ns, motion.at(stamps_ns).ref_T_body)[0, 0]
+        parabolas(motion, stamps_ns)[0, 0]
         for motion in (RefMotion(Capture.FIXED_CAMERAS, None, body) for body in (whole, gappy))
     ]
     np.testing.assert_allclose(velocities[1], velocities[0], atol=5e-3)
+
+
+@pytest.mark.parametrize("span_intervals", [0, 2, 5, 8])  # fitted to odd and even numbers of poses
+def test_a_pose_that_stands_alone_tells_no_motion(span_intervals: int) -> None:
+    whole = trajectory("board_body", steady("board_body"), n=200)
+    kept = np.r_[0:50, 100, 150:200]
+    alone = replace(whole, stamps_ns=whole.stamps_ns[kept], world_T_body=whole.world_T_body[kept])
+    motion = RefMotion(Capture.FIXED_CAMERAS, None, alone)
+    found = parabolas(motion, whole.stamps_ns[[100]], last_s=1e-9 * span_intervals * INTERVAL_NS)
+    np.testing.assert_allclose(found, 0.0, atol=1e-6)
 
 
 def test_a_parabola_holds_over_the_span_that_is_asked_for() -> None:
@@ -90,7 +99,7 @@ def test_a_parabola_holds_over_the_span_that_is_asked_for() -> None:
 
     motion = RefMotion(Capture.FIXED_CAMERAS, None, trajectory("board_body", thrown))
     stamps_ns = INTERVAL_NS * np.array([30])
-    velocity, half_acceleration = parabolas(motion, stamps_ns, motion.at(stamps_ns).ref_T_body, last_s=0.03)[0]
+    velocity, half_acceleration = parabolas(motion, stamps_ns, last_s=0.03)[0]
     t_s = 1e-9 * stamps_ns[0]
     np.testing.assert_allclose(turn.apply(velocity[3:]), [0.5, 0.0, -9.8 * t_s], atol=2e-3)
     np.testing.assert_allclose(turn.apply(half_acceleration[3:]), [0.0, 0.0, -4.9], atol=0.05)

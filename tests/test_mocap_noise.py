@@ -225,6 +225,21 @@ def test_the_sandwich_is_that_of_the_textbook() -> None:
 # Hold-out and choice
 
 
+def test_fewer_frames_than_folds_are_each_held_out() -> None:
+    options = CalibrationOptions()
+    observations = synchronise(simulated(mocap=TRUE).recording)
+    views, estimate = at_stage_3(observations, options)
+    few = frames_of(views)[:6]
+    views = {name: select_views(v, np.flatnonzero(np.isin(v.frame_index, few))) for name, v in views.items()}
+    noise = MocapNoiseModel(dict.fromkeys(observations.motion.trajectories, MocapSigmas(0.2, 0.02)))
+    information = prior_information(views, estimate, options)
+    sums = hold_out(
+        views, estimate, noise, observations.motion, sigma_px=0.1, free_theta=False, information=information
+    )
+    assert len(sums.blocks) == 6 < FOLDS
+    assert 0.0 < sums.noisy_rmse_px < np.inf
+
+
 @pytest.fixture(scope="module", name="held_out")
 def _held_out() -> tuple[MocapNoiseFit, float]:
     """The linear hold-out of stage 3, and the one of a solution anew without each block."""

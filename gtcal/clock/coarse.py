@@ -93,9 +93,9 @@ def _misfit(
 ) -> FloatArray:
     """Differences of the angles at this shift, of the pairs that the mocap has."""
     shift_ns = round(1e9 * shift_s)
-    poses = [motion.at(stamps_ns + shift_ns).ref_T_body for stamps_ns in (first_ns, second_ns)]
-    known = np.isfinite(poses[0]).all(axis=(1, 2)) & np.isfinite(poses[1]).all(axis=(1, 2))
-    turned = inverse(poses[0][known]) @ poses[1][known]
+    first, second = (motion.at(stamps_ns + shift_ns) for stamps_ns in (first_ns, second_ns))
+    known = first.ok & second.ok
+    turned = inverse(first.ref_T_body[known]) @ second.ref_T_body[known]
     return np.abs(Rotation.from_matrix(turned[:, :3, :3]).magnitude() - angle_rad[known])
 
 

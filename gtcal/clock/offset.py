@@ -138,7 +138,7 @@ def noise_model(noise: MocapNoise) -> MocapNoiseModel:
 
 def _with_clock(frames: FrameMoments, motion: RefMotion, about_ns: int, *, drift: bool) -> FrameMoments:
     """The moments with a column for the offset, and one for its drift, before the residual's."""
-    twist = parabolas(motion, frames.stamps_ns, motion.at(frames.stamps_ns).ref_T_body)[:, 0]
+    twist = parabolas(motion, frames.stamps_ns)[:, 0]
     basis = [twist]
     if drift:
         basis.append(twist * (1e-9 * (frames.stamps_ns - about_ns))[:, None])

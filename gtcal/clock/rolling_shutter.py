@@ -98,7 +98,7 @@ def _parabolas(views: Views, motion: RefMotion, readout_s: float) -> FloatArray:
     shutter = views.camera.rolling_shutter
     assert shutter is not None
     first_s = -0.5 * readout_s if shutter.stamped_row == "middle" else 0.0
-    return parabolas(motion, views.stamps_ns, views.ref_T_body, first_s=first_s, last_s=first_s + readout_s)
+    return parabolas(motion, views.stamps_ns, first_s=first_s, last_s=first_s + readout_s)
 
 
 def _projected(views: Views, estimate: Estimate, moving: FloatArray, after_s: FloatArray) -> FloatArray:

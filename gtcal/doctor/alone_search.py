@@ -42,7 +42,8 @@ NO_LENS, NO_LENS_PX = 3.0, 0.7
 """The intrinsics are called wrong where free ones are so many times, and so many pixels, better."""
 
 _FEW_VIEWS = 10
-_HOPEFUL_BOARDS = 12
+# A board's misfit under every third lens ranks it; the right one is then among so many.
+_EVERY_LENS, _HOPEFUL_BOARDS = 3, 12
 
 R = TypeVar("R", LensReading, BoardReading)
 
@@ -299,7 +300,7 @@ def board_under_any_lens(recording: Recording) -> BoardReading | None:
     readings = [(reading, reading.reread(detections)) for reading in board_readings(recording.board)]
     if not readings:
         return None
-    roughly_px = [misfit_px(reading.board, seen, lenses[1::3]) for reading, seen in readings]
+    roughly_px = [misfit_px(reading.board, seen, lenses[1::_EVERY_LENS]) for reading, seen in readings]
     hopeful = sorted(np.argsort(roughly_px, kind="stable")[:_HOPEFUL_BOARDS])
     tried = [(reading, misfit_px(reading.board, seen, lenses)) for reading, seen in (readings[i] for i in hopeful)]
     reading, after_px = _first_of_the_best(tried)

@@ -15,10 +15,10 @@ def board_in_images(recording: Recording) -> tuple[Board, str] | None:
     """The board that the images show, and what tells, in words; None where they tell none, or the one that was stated.
 
     Raises GtcalError where an image can't be read."""
-    for images in recording.images.values():
-        guess = guess_board(images)
-        board = None if guess is None else _of_stated_size(guess, recording.board)
-        if board is not None and guess is not None and board != recording.board:
+    guesses = (guess_board(images) for images in recording.images.values())
+    for guess in (guess for guess in guesses if guess is not None):
+        board = _of_stated_size(guess, recording.board)
+        if board not in (None, recording.board):
             ids = f"ids {guess.ids.min()} to {guess.ids.max()}"
             return board, f"the images show tags of {guess.dictionary}, {ids}, as on another board: {board.describe()}"
     return None

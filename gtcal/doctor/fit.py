@@ -151,9 +151,8 @@ def turn_misfit_rad(guides: Mapping[str, GuideViews], motion: RefMotion) -> floa
     It depends on no calibration (screw congruence, Chen 1991), and on rotations only. Infinite without views."""
     differences = []
     for guide in guides.values():
-        ref_T_body = motion.at(guide.views.stamps_ns).ref_T_body
-        known = np.isfinite(ref_T_body).all(axis=(1, 2))
-        turned = turns_rad(guide.pnp_camera_T_board[known, 0]) - turns_rad(ref_T_body[known])
+        at = motion.at(guide.views.stamps_ns)
+        turned = turns_rad(guide.pnp_camera_T_board[at.ok, 0]) - turns_rad(at.ref_T_body[at.ok])
         differences.append(np.abs(turned).ravel())
     found = np.concatenate(differences)
     return float(np.median(found)) if len(found) else np.inf

@@ -151,7 +151,7 @@ def _without(adjusted: Adjusted, gross: Mapping[str, BoolArray]) -> tuple[Adjust
     return replace(adjusted, screened=screened), dropped
 
 
-_MOST_GROSS = 0.5
+_MOST_GROSS = 0.5  # of a camera's views: half of them stay, as in ``screen``
 _LEAST_GAIN = 0.05  # a step of a third of a sigma
 _AT_EDGE = "at the edge of the lens's field, where free intrinsics get stuck"
 _GROSS = "mocap pose off by more than its noise explains"

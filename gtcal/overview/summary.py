@@ -170,8 +170,7 @@ def _gap_s(stamps_ns: IntArray) -> float:
 
 
 def _with_pose(motion: RefMotion, stamps_ns: IntArray) -> float:
-    poses = motion.at(stamps_ns).ref_T_body
-    return float(np.isfinite(poses[:, 0, 0]).mean())
+    return float(motion.at(stamps_ns).ok.mean())
 
 
 def _body(motion: RefMotion, trajectory: Trajectory) -> BodySummary:
@@ -207,7 +206,7 @@ def _turns(recording: Recording | LollypopRecording, cameras: dict[str, CameraSu
     """Of the board's body in ref at the views, which is what a calibration lives on."""
     if isinstance(recording, LollypopRecording):
         return
-    poses = [recording.motion.at(c.times.stamps_ns).ref_T_body for c in cameras.values()]
-    seen = [p[np.isfinite(p[:, 0, 0])] for p in poses]
+    at = [recording.motion.at(of_camera.times.stamps_ns) for of_camera in cameras.values()]
+    seen = [poses.ref_T_body[poses.ok] for poses in at]
     if any(len(p) > 1 for p in seen):
         yield from turn_coverage([p for p in seen if len(p) > 1], recording.capture).missing

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +28,7 @@ _CAMERA = re.compile(r"cam\w*\d+$")
 _PLATFORM = re.compile(r"(body|vicon|mocap|platform|headset|rig)\d*$")
 _BOARD = re.compile(r"(target|board|board_body|device|device_body|lollypop)\d*$")
 _CAMCHAINS = ("dso/camchain.yaml", "camchain.yaml")
+_COEFFICIENTS = ("distortion_coefficients", "distortion_coeffs")
 _LENS_FIELDS = ("camera_model", "distortion_model", "intrinsics", "resolution")
 
 
@@ -162,9 +163,16 @@ def lens_fields(block: Field) -> dict[str, Any]:
     describes none.
 
     Raises GtcalError where its model is one that gtcal has not, or the numbers are not those of the model."""
-    if any(name not in block for name in _LENS_FIELDS):
+    if any(name not in block for name in _LENS_FIELDS) or block.get(*_COEFFICIENTS) is None:
         return {}
-    lens = lens_of(block)
+    lens = lens_of(_trimmed(block))
     parameters = dict(zip(lens.model.parameter_names, lens.theta.tolist(), strict=True))
     size_px = [side.size() for side in block["resolution"].entries()]
     return {"model": lens.model.name, "image_size_px": size_px, "parameters": parameters}
+
+
+def _trimmed(block: Field) -> Field:
+    """Without the zeros that some list for coefficients that the model has not."""
+    lists = {name: block.value[name] for name in _COEFFICIENTS if isinstance(block.value.get(name), list)}
+    short = {name: given[:4] for name, given in lists.items() if not any(given[4:])}
+    return replace(block, value={**block.value, **short})

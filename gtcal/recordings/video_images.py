@@ -87,7 +87,6 @@ def _av() -> Any:
         import av
     except ImportError:
         raise GtcalError("reading a video needs PyAV; install it with: pip install 'gtcal[video]'") from None
-    av.logging.set_level(None)
     return av
 
 
