@@ -37,7 +37,10 @@ class RollingShutter:
 class Camera:
     """A named camera. ``parameters`` is in the order of ``model.parameter_names``, or None where the
     intrinsics are still to be found. Integer pixel coordinates are pixel centres. ``rolling_shutter`` is None for a
-    sensor that exposes all rows at once."""
+    sensor that exposes all rows at once.
+
+    theta_sigmas: (K,) 1-sigma of each parameter, as stated with it; NaN where it is not, infinite where the parameter
+        is not known beforehand (gtcal found it in the same views)."""
 
     name: str
     model: CameraModel
@@ -45,6 +48,7 @@ class Camera:
     image_width_px: int
     image_height_px: int
     rolling_shutter: RollingShutter | None = None
+    theta_sigmas: FloatArray | None = None
 
     @property
     def theta(self) -> FloatArray:

@@ -6,6 +6,9 @@ from __future__ import annotations
 import time
 from dataclasses import replace
 
+import numpy as np
+
+from gtcal.camera import Camera
 from gtcal.clock.find import tested, with_clock, with_stated_readouts
 from gtcal.detection.detect import cached_detect
 from gtcal.doctor.hint import likely_mistake, looks_wrong
@@ -88,17 +91,21 @@ def detected(recording: Recording, *, progress: Progress = silent, redo: bool = 
     return replace(recording, detections=recording.detections | found, inputs=recording.inputs + used)
 
 
+def _is_to_be_found(camera: Camera, options: CalibrationOptions) -> bool:
+    return options.intrinsics == "calibrate" or (options.intrinsics == "auto" and camera.parameters is None)
+
+
 def _with_intrinsics(
     observations: Observations, options: CalibrationOptions, progress: Progress
 ) -> tuple[Observations, tuple[StageReport, ...]]:
-    if not options.calibrate_intrinsics:
-        return observations, ()
     views, reports = dict(observations.views), []
-    for done, (name, of_camera) in enumerate(observations.views.items()):
-        progress("intrinsics", done, len(views))
+    wanted = [name for name, of_camera in views.items() if _is_to_be_found(of_camera.camera, options)]
+    for done, name in enumerate(wanted):
+        progress("intrinsics", done, len(wanted))
         started = time.perf_counter()
-        found = calibrate_intrinsics(of_camera)
-        views[name] = replace(of_camera, camera=found.camera)
+        found = calibrate_intrinsics(views[name])
+        unknown = np.full(found.camera.model.n_parameters, np.inf)
+        views[name] = replace(views[name], camera=replace(found.camera, theta_sigmas=unknown))
         seconds = time.perf_counter() - started
         reports.append(
             StageReport(
@@ -112,5 +119,6 @@ def _with_intrinsics(
                 seconds,
             )
         )
-    progress("intrinsics", len(views), len(views))
+    if wanted:
+        progress("intrinsics", len(wanted), len(wanted))
     return replace(observations, views=views), tuple(reports)

@@ -35,12 +35,13 @@ def calibrate(
     *,
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("calibration.json"),
     report: Path | None = None,
+    intrinsics: Literal["auto", "fixed", "exact", "refine", "calibrate"] = "auto",
     calibrate_intrinsics: bool = False,
     refine_intrinsics: bool = False,
     intrinsics_prior: Literal["weak", "stated"] = "weak",
-    focal_sigma_px: float = 5.0,
-    centre_sigma_px: float = 5.0,
-    distortion_sigma: float = 0.01,
+    focal_sigma_px: float | None = None,
+    centre_sigma_px: float | None = None,
+    distortion_sigma: float | None = None,
     kernel: KernelName = "Null",
     kernel_parameter: float | None = None,
     graduated: bool = False,
@@ -73,14 +74,19 @@ def calibrate(
         recording: Folder with the manifest (recording.yaml or recording.json), or the manifest itself.
         output: File to write.
         report: HTML file to write with figures of the result (as 'gtcal report' does).
-        calibrate_intrinsics: Find the intrinsics first, by a plain calibration from the views; those stated in the
-            manifest are not used. For recordings without intrinsics.
-        refine_intrinsics: Solve for the intrinsics too, jointly with the extrinsics in stage 3.
-        intrinsics_prior: For --refine-intrinsics. 'weak': the paper's prior (principal point to the image centre,
-            distortion to zero, focal length free). 'stated': stay near the manifest's values, by the next three sigmas.
-        focal_sigma_px: 1-sigma of fx and fy for the prior 'stated'.
-        centre_sigma_px: 1-sigma of cx and cy for the prior 'stated'.
-        distortion_sigma: 1-sigma of every distortion coefficient for the prior 'stated'.
+        intrinsics: 'auto': solved for jointly with the extrinsics, near the manifest's values, by their sigmas (stated
+            as parameter_sigmas, else 0.3 % of the focal length and 3 px, what real factory values are off by); found
+            first where the manifest states none. 'fixed': held at the manifest's values, whose sigmas count in the
+            covariance. 'exact': held and taken for known exactly, as in the paper. 'refine': solved for jointly under
+            --intrinsics-prior. 'calibrate': found first, by a plain calibration from the views, then solved for
+            jointly; the manifest's values are not used.
+        calibrate_intrinsics: Short for --intrinsics calibrate.
+        refine_intrinsics: Short for --intrinsics refine.
+        intrinsics_prior: For --intrinsics refine. 'weak': the paper's prior (principal point to the image centre,
+            distortion to zero, focal length free). 'stated': near the manifest's values, as for 'auto'.
+        focal_sigma_px: 1-sigma of fx and fy of all cameras, in place of the manifest's or a factory's.
+        centre_sigma_px: 1-sigma of cx and cy, likewise.
+        distortion_sigma: 1-sigma of every distortion coefficient, likewise.
         kernel: Robust kernel of stage 3, by its name in gtsam.noiseModel.mEstimator, on each corner's whitened norm.
         kernel_parameter: Its parameter in sigmas; by default the kernel's usual one.
         graduated: Begin stage 3 with a kernel so wide that nothing is an outlier and narrow it step by step
@@ -120,7 +126,7 @@ def calibrate(
     from gtcal.workflow import calibrate as run
 
     options = CalibrationOptions(
-        intrinsics=intrinsics_mode(calibrate=calibrate_intrinsics, refine=refine_intrinsics),
+        intrinsics=intrinsics_mode(intrinsics, calibrate=calibrate_intrinsics, refine=refine_intrinsics),
         intrinsics_prior=intrinsics_prior,
         focal_sigma_px=focal_sigma_px,
         centre_sigma_px=centre_sigma_px,
@@ -151,11 +157,18 @@ def calibrate(
         print(f"written: {output}" + (f", {report}" if report is not None else ""))
 
 
-def intrinsics_mode(*, calibrate: bool, refine: bool) -> IntrinsicsMode:
-    """What --calibrate-intrinsics and --refine-intrinsics mean together."""
-    if refine:
-        return "calibrate+refine" if calibrate else "refine"
-    return "calibrate" if calibrate else "fixed"
+def intrinsics_mode(stated: IntrinsicsMode, *, calibrate: bool, refine: bool) -> IntrinsicsMode:
+    """What --intrinsics and its two short forms mean together: intrinsics that are found first are refined too.
+
+    Raises GtcalError where they contradict each other."""
+    from gtcal.errors import GtcalError
+
+    short: IntrinsicsMode | None = "calibrate" if calibrate else "refine" if refine else None
+    if short is None:
+        return stated
+    if stated not in ("auto", short):
+        raise GtcalError(f"--intrinsics {stated} and --{short}-intrinsics contradict each other: give one")
+    return short
 
 
 def _mocap(sigma_mm: float | None, sigma_deg: float | None) -> MocapSigmas | None:

@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from gtcal.baselines.compare import Compared
+    from gtcal.estimation.options import IntrinsicsMode
 
 
 def compare(
@@ -50,7 +51,6 @@ def compare(
     from gtcal.baselines.compare import compare as run
     from gtcal.baselines.compare import compare_markers
     from gtcal.baselines.compare_file import write_comparison
-    from gtcal.cli.calibrate import intrinsics_mode
     from gtcal.cli.progress import shown_progress
     from gtcal.errors import GtcalError
     from gtcal.estimation.options import CalibrationOptions
@@ -64,7 +64,7 @@ def compare(
         if prior is None:
             raise GtcalError(f"{measured_x}: states no body_T_board, which Sturm's method needs")
         body_T_board = prior.a_T_b
-    mode = intrinsics_mode(calibrate=calibrate_intrinsics, refine=False)
+    mode: IntrinsicsMode = "calibrate" if calibrate_intrinsics else "fixed"
     options = CalibrationOptions(intrinsics=mode, clock=clock, seed=seed)
     loaded = load_recording(recording)
     device = load_lollypop_recording(lollypop) if lollypop is not None else None

@@ -21,6 +21,7 @@ from gtcal.estimation.graph import (
     to_values,
     updated,
 )
+from gtcal.estimation.lens_sigmas import lens_sigmas
 from gtcal.estimation.marginals import covariance_of, joint_information
 from gtcal.estimation.observations import Views
 from gtcal.estimation.options import CalibrationOptions
@@ -151,11 +152,11 @@ def intrinsics_priors(views: Mapping[str, Views], options: CalibrationOptions) -
 
 
 def _prior(views: Views, options: CalibrationOptions) -> IntrinsicsPrior:
-    if options.intrinsics_prior == "weak":
+    """The paper's weak one where nothing is known of the lens beforehand, or where that is asked for."""
+    if options.intrinsics == "refine" and options.intrinsics_prior == "weak":
         return IntrinsicsPrior(None)
-    sigmas = np.full(views.camera.model.n_parameters, options.distortion_sigma)
-    sigmas[:2], sigmas[2:4] = options.focal_sigma_px, options.centre_sigma_px
-    return IntrinsicsPrior(sigmas)
+    sigmas = lens_sigmas(views.camera, options)
+    return IntrinsicsPrior(sigmas if np.isfinite(sigmas).any() else None)
 
 
 def _sigma_px(screened: Screened, options: CalibrationOptions) -> float:

@@ -16,9 +16,11 @@ import numpy as np
 from gtcal.camera import FloatArray
 from gtcal.estimation.adjustment import Adjusted
 from gtcal.estimation.errors_in_variables import prior_information
-from gtcal.estimation.frame_statistics import FrameMoments, frames_of, in_parts
+from gtcal.estimation.frame_statistics import FrameMoments, frame_moments, frames_of, in_parts
+from gtcal.estimation.mocap_noise import MocapNoiseModel, lower_factors
 from gtcal.estimation.observations import Views
 from gtcal.estimation.options import CalibrationOptions
+from gtcal.recordings.capture import RefMotion
 from gtcal.recordings.detections import IntArray
 from gtcal.results.covariance import CLUSTERED, JointCovariance
 
@@ -50,6 +52,46 @@ def clustered(
         return {}
     matrix = clustered_covariance(parts, information, correlation_s)
     return {CLUSTERED: JointCovariance(CLUSTERED, sizes, matrix)}
+
+
+def by_noise_model(
+    adjusted: Adjusted, options: CalibrationOptions, noise: MocapNoiseModel, motion: RefMotion, *, sizes: dict[str, int]
+) -> JointCovariance:
+    """The covariance of stage 3's estimate where the frames are too few to show by themselves how they scatter: they
+    scatter as the mocap's noise, estimated from the same frames, says."""
+    views, estimate = adjusted.screened.views, adjusted.estimate
+    moments = frame_moments(
+        views, estimate, sigma_px=adjusted.sigma_px, free_theta=options.refine_intrinsics, robust=options.robust
+    )
+    information = prior_information(views, estimate, options)[:-1, :-1]
+    H = moments.exact[:, :-1, :-1].sum(axis=0) + information
+    inverse = scaled_inverse(H)
+    L = lower_factors(noise.covariance(motion, moments.stamps_ns))
+    by_frame = np.swapaxes(L, 1, 2) @ moments.moments[:, :6, 6:-1]  # gradient of a unit of each frame's noise
+    scatter = H + _correlated_scatter(by_frame, noise.correlations(moments.stamps_ns))
+    matrix = noise.small_sample_factor * inverse @ scatter @ inverse
+    return JointCovariance(CLUSTERED, sizes, 0.5 * (matrix + matrix.T))
+
+
+def _correlated_scatter(by_frame: FloatArray, rho: FloatArray) -> FloatArray:
+    """(P, P) of sum_f by_frame_f^T z_f, from (n, 6, P), for z of unit covariance, correlated by rho (n,) from each
+    frame to the next."""
+    total = np.einsum("nia,nib->ab", by_frame, by_frame)
+    carried = np.zeros_like(by_frame[0])
+    for f in range(1, len(by_frame)):
+        carried = rho[f - 1] * (carried + by_frame[f - 1])
+        both = carried.T @ by_frame[f]
+        total += both + both.T
+    return np.asarray(total)
+
+
+def scaled_inverse(H: FloatArray) -> FloatArray:
+    """Of a positive definite matrix whose columns have different units.
+
+    Raises numpy.linalg.LinAlgError where a direction is open."""
+    scale = 1.0 / np.sqrt(np.diag(H))
+    root = np.linalg.inv(np.linalg.cholesky(H * np.outer(scale, scale))) * scale
+    return np.asarray(root.T @ root)
 
 
 def stamps_of(views: Mapping[str, Views]) -> IntArray:

@@ -28,8 +28,8 @@ from gtcal.recordings.detections import IntArray
 MOST_FRAMES = 200
 """Frames that the noise is estimated from: 1,200 numbers for a handful of sigmas, good to some 5 %."""
 
-FEWEST_NUMBERS = 30
-"""Least surplus of the frames' numbers over the unknowns that a variance is estimated from."""
+FEWEST_NUMBERS = 3
+"""Least surplus of the mocap's numbers over the unknowns that they determine, from which a variance is estimated."""
 
 GROSS_PROBABILITY = 1e-6
 """A frame whose mocap pose is off by what noise reaches once in a million frames is gross."""
@@ -39,6 +39,7 @@ _HARDLY_ANYTHING = 1e-6  # information, where the noise itself has 1: on a direc
 _WIDE = 3.0  # of the logarithm of a sigma: hardly a prior, but a component that the data do not show stays finite
 _TYPICAL_JITTER_S, _TYPICAL_CORRELATION_S = 1e-4, 0.02
 _ACCURACY = {"ftol": 1e-7}  # of a cost of some ten thousands: a thousandth of a likelihood's unit
+_NOTHING_KNOWN = 1e4  # times the noise's sigmas: the mocap as good as gone
 _SMALLEST, _LARGEST = 1e-2, 1e2  # of a component, as a multiple of its first guess
 
 
@@ -49,12 +50,20 @@ class MocapNoiseModel:
     bodies: by tracked body, 'platform' and 'board_body'.
     correlation_s: time over which the noise of a body is correlated (to 1/e); 0 for white noise.
     jitter_s: 1-sigma of the time at which the mocap measured a body, independent from sample to sample.
-    estimated: from the recording, else given."""
+    estimated: from the recording, else given.
+    degrees_of_freedom: of the numbers that it was estimated from; infinite where it was given."""
 
     bodies: dict[str, MocapSigmas]
     correlation_s: float = 0.0
     jitter_s: float = 0.0
     estimated: bool = False
+    degrees_of_freedom: float = np.inf
+
+    @property
+    def small_sample_factor(self) -> float:
+        """By how much a variance that rests on this noise is to be larger, for the noise is itself an estimate: that
+        of Student's t over a Gaussian's."""
+        return 1.0 / (1.0 - 2.0 / self.degrees_of_freedom)
 
     def covariance(self, motion: RefMotion, stamps_ns: IntArray) -> FloatArray:
         """(N, 6, 6) of xi in ref_T_body * Exp(xi) at ``stamps_ns`` (N,), rotation first, in rad and m.
@@ -156,12 +165,11 @@ def estimate_noise(frames: FrameMoments, motion: RefMotion, information: FloatAr
     the unknowns (priors).
 
     None where the frames are too few to tell, or leave an unknown open."""
-    if 6 * len(frames.frame_index) - frames.n_unknowns < FEWEST_NUMBERS:
-        return None
     try:
-        return _estimated(frames, motion, information)
+        found = _estimated(frames, motion, information)
     except np.linalg.LinAlgError:
         return None
+    return found if found.degrees_of_freedom >= FEWEST_NUMBERS else None
 
 
 def _estimated(frames: FrameMoments, motion: RefMotion, information: FloatArray) -> MocapNoiseModel:
@@ -174,7 +182,8 @@ def _estimated(frames: FrameMoments, motion: RefMotion, information: FloatArray)
             break
         gross = now
         sigmas = problem.most_likely(sigmas, np.flatnonzero(~gross))
-    return problem.noise(sigmas)
+    surplus = problem.degrees_of_freedom(sigmas, np.flatnonzero(~gross))
+    return replace(problem.noise(sigmas), degrees_of_freedom=surplus)
 
 
 def innovations(frames: FrameMoments, noise: MocapNoiseModel, motion: RefMotion) -> FloatArray:
@@ -274,14 +283,29 @@ class _Likelihood:
         )
         return np.asarray(found.x)
 
+    def degrees_of_freedom(self, logs: FloatArray, rows: IntArray) -> float:
+        """The numbers of the mocap in the frames at ``rows``, less those that the unknowns take from them: these are
+        the trace of what of the unknowns' information would be lost if the mocap said nothing."""
+        part = replace(self, frames=self.frames.take(rows), bases=self.bases.take(rows))
+        known, alone = (part.eliminated(logs, noise)[0][:-1, :-1] for noise in (1.0, _NOTHING_KNOWN))
+        scale = 1.0 / np.sqrt(np.diag(known))
+        taken = np.linalg.solve(known * np.outer(scale, scale), (known - alone) * np.outer(scale, scale))
+        return float(6 * len(rows) - np.trace(taken))
+
+    def eliminated(self, logs: FloatArray, times: float = 1.0) -> tuple[FloatArray, float]:
+        """(P + 1, P + 1) sums of the unknowns, the priors' among them, with the mocap's noise integrated out, and the
+        log determinant; with its sigmas so many ``times`` as large."""
+        total = self.information.copy()
+        L = times * lower_factors(self.covariance(logs))
+        rho = correlations(self.frames.stamps_ns, float(np.exp(logs[-1])))
+        log_determinant = eliminate_noise(self.frames.moments, L, rho, total)
+        return np.triu(total) + np.triu(total, 1).T, log_determinant
+
     def cost(self, logs: FloatArray) -> float:
         """Minus the logarithm of the restricted likelihood, and of a prior so wide that it only keeps finite what the
         data do not show."""
-        total = self.information.copy()
-        L = lower_factors(self.covariance(logs))
-        rho = correlations(self.frames.stamps_ns, float(np.exp(logs[-1])))
-        log_determinant = eliminate_noise(self.frames.moments, L, rho, total)
-        R = np.linalg.cholesky(np.triu(total[:-1, :-1]) + np.triu(total[:-1, :-1], 1).T)
+        total, log_determinant = self.eliminated(logs)
+        R = np.linalg.cholesky(total[:-1, :-1])
         explained = solve_triangular(R, total[:-1, -1], lower=True)
         square = total[-1, -1] - explained @ explained
         log_determinant += 2.0 * np.log(np.diag(R)).sum()

@@ -12,9 +12,11 @@ from gtcal.estimation.priors import Priors
 REDESCENDING = ("GemanMcClure", "TruncatedLeastSquares", "Tukey", "Welsch", "Cauchy")
 """Kernels under which what lies far off hardly counts."""
 
-IntrinsicsMode = Literal["fixed", "calibrate", "refine", "calibrate+refine"]
-"""fixed: as the recording states them. calibrate: found first, by a plain calibration from the views. refine: solved
-for in stage 3, jointly with the extrinsics."""
+IntrinsicsMode = Literal["auto", "fixed", "exact", "refine", "calibrate"]
+"""auto: solved for jointly with the extrinsics, near what the recording states, by its sigmas; found first where it
+states nothing. fixed: held at what the recording states, whose sigmas count in the covariance. exact: held, and taken
+for known exactly, as in the paper. refine: solved for jointly, under ``intrinsics_prior``. calibrate: found first, by a
+plain calibration from the views, then solved for jointly; what the recording states is not used."""
 
 IntrinsicsPrior = Literal["weak", "stated"]
 
@@ -46,8 +48,11 @@ class CalibrationOptions:
     """Options of ``gtcal.calibrate``.
 
     intrinsics: see ``IntrinsicsMode``.
-    intrinsics_prior: where they are refined: 'weak', the paper's, or 'stated', the recording's values with
-        ``focal_sigma_px``, ``centre_sigma_px`` and ``distortion_sigma``.
+    intrinsics_prior: for 'refine': 'weak', the paper's, or 'stated', the recording's values with its sigmas, as for
+        'auto'.
+    focal_sigma_px, centre_sigma_px, distortion_sigma: of all cameras' stated intrinsics; None for those that the
+        recording states with them, and where it states none, those of a factory's calibration
+        (``gtcal.estimation.lens_sigmas``).
     robust: kernel of stage 3, on the whitened norm of each corner.
     sigma_px: standard deviation of a pixel coordinate; None to estimate it from the residuals.
     mocap: what stage 4 takes for the mocap's noise: 'estimate' it from the recording, or the sigmas that are given;
@@ -67,11 +72,11 @@ class CalibrationOptions:
 
     Raises GtcalError for a choice that makes no sense."""
 
-    intrinsics: IntrinsicsMode = "fixed"
+    intrinsics: IntrinsicsMode = "auto"
     intrinsics_prior: IntrinsicsPrior = "weak"
-    focal_sigma_px: float = 5.0
-    centre_sigma_px: float = 5.0
-    distortion_sigma: float = 0.01
+    focal_sigma_px: float | None = None
+    centre_sigma_px: float | None = None
+    distortion_sigma: float | None = None
     robust: RobustKernel = field(default=GAUSSIAN)
     sigma_px: float | None = None
     mocap: MocapSigmas | MocapMode = "estimate"
@@ -96,15 +101,14 @@ class CalibrationOptions:
         for name, mode in modes.items():
             if getattr(self, name) not in get_args(mode):
                 raise GtcalError(f"{name}: {getattr(self, name)!r} is none of {', '.join(get_args(mode))}")
-        if self.refine_intrinsics and 3 not in self.stages:
+        if self.intrinsics == "refine" and 3 not in self.stages:
             raise GtcalError("intrinsics are refined in stage 3, but stages leave it out")
         if isinstance(self.mocap, MocapSigmas) and 3 not in self.stages:
             raise GtcalError("mocap noise is modelled from where stage 3 ends, but stages leave it out")
-        for name in ("eps", "focal_sigma_px", "centre_sigma_px", "distortion_sigma"):
-            if not getattr(self, name) > 0.0:
-                raise GtcalError(f"{name}: {getattr(self, name)} is not a positive number")
-        if self.sigma_px is not None and not self.sigma_px > 0.0:
-            raise GtcalError(f"sigma_px: {self.sigma_px} is not a positive number")
+        for name in ("eps", "focal_sigma_px", "centre_sigma_px", "distortion_sigma", "sigma_px"):
+            value = getattr(self, name)
+            if value is not None and not value > 0.0:
+                raise GtcalError(f"{name}: {value} is not a positive number")
         if self.clock_drift and self.clock not in ("estimate", "per_camera"):
             raise GtcalError(f"clock_drift asks for a clock that is estimated, but clock is {self.clock!r}")
         if self.clock_drift and self.clock == "per_camera":
@@ -119,9 +123,6 @@ class CalibrationOptions:
                 raise GtcalError(f"{name}: {getattr(self, name)} is less than {least}")
 
     @property
-    def calibrate_intrinsics(self) -> bool:
-        return self.intrinsics in ("calibrate", "calibrate+refine")
-
-    @property
     def refine_intrinsics(self) -> bool:
-        return self.intrinsics in ("refine", "calibrate+refine")
+        """Whether the intrinsics are solved for jointly with the extrinsics."""
+        return self.intrinsics in ("auto", "refine", "calibrate") and 3 in self.stages

@@ -12,7 +12,7 @@ from gtcal.errors import GtcalError
 from gtcal.estimation.adjustment import Adjusted, adjust, joint_covariance, joint_keys, not_adjusted, theta_sizes
 from gtcal.estimation.alignment import GuideViews, fitting_views, stage_1, stage_2, without_stage_1
 from gtcal.estimation.choice import choose
-from gtcal.estimation.clustered import clustered
+from gtcal.estimation.clustered import by_noise_model, clustered
 from gtcal.estimation.errors_in_variables import model_mocap_noise, whiteness
 from gtcal.estimation.estimate import Estimate
 from gtcal.estimation.motion import check_turning, turning
@@ -269,8 +269,11 @@ def _with_mocap_noise(
     if modelled is None:
         return _Found(adjusted, {3: adjusted.estimate}, covariances, None, dropped)
     freed, noise = modelled
+    if CLUSTERED not in covariances:
+        covariances[CLUSTERED] = by_noise_model(adjusted, options, noise.noise, motion, sizes=naive.theta_sizes)
     of_freed = joint_covariance(freed, ERRORS_IN_VARIABLES)
-    covariances |= {ERRORS_IN_VARIABLES: of_freed} if of_freed else {}
+    if of_freed is not None:
+        covariances[ERRORS_IN_VARIABLES] = of_freed.times(noise.noise.small_sample_factor)
     report = _report(4, "mocap noise", started, freed.errors, "whitened")
     report = replace(report, median_px=_median_px(views, freed.estimate))
     chosen = choose(noise, whiteness(freed, noise, motion, options))
@@ -328,7 +331,7 @@ def _camera(views: Views, adjusted: Adjusted, sigmas: JointCovariance | None) ->
             "run all the stages, and look whether its views and the mocap belong together"
         )
     return CameraCalibration(
-        camera=replace(views.camera, parameters=estimate.theta[name]),
+        camera=replace(views.camera, parameters=estimate.theta[name], theta_sigmas=None),
         camera_T_ref=PoseEstimate(estimate.camera_T_ref[name], sigmas.camera_T_ref(name) if sigmas else None),
         theta_covariance=sigmas.theta(name) if sigmas else None,
         residuals=ResidualStatistics.of(lengths_px, used.n_views),

@@ -13,6 +13,7 @@ from pydantic import (
     BaseModel,
     ConfigDict,
     Field,
+    PositiveFloat,
     PositiveInt,
     ValidationError,
     ValidationInfo,
@@ -133,6 +134,11 @@ class CameraEntry(Entry):
         default=None,
         description="The intrinsic parameters by name (pixels, integer coordinates at pixel centres). "
         "Leave them out where they are to be found from the recording.",
+    )
+    parameter_sigmas: dict[str, PositiveFloat] | None = Field(
+        default=None,
+        description="1-sigma of the intrinsic parameters by name, in their units, as far as they are known; for the "
+        "others those of a factory's calibration are taken (0.3 % of the focal length, 3 px).",
     )
     images: str | None = Field(
         default=None,
@@ -360,6 +366,8 @@ def check_sources(cameras: dict[str, CameraEntry]) -> None:
         _check_source_fields(where, camera, sources)
         if camera.intrinsics is not None and camera.parameters is not None:
             raise GtcalError(f"{where}: has both 'intrinsics' and 'parameters'; give one")
+        if camera.parameter_sigmas and camera.intrinsics is None and camera.parameters is None:
+            raise GtcalError(f"{where}: has 'parameter_sigmas', but no 'parameters' or 'intrinsics'")
 
 
 def _check_source_fields(where: str, camera: CameraEntry, sources: tuple[str, ...]) -> None:

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from factors import CAMERA_MODELS
+from factors import CAMERA_MODELS, CameraModel
 from gtcal.board import Board, board_from_manifest
-from gtcal.camera import Camera, RollingShutter
+from gtcal.camera import Camera, FloatArray, RollingShutter
 from gtcal.camera_files.formats import read_rig
 from gtcal.camera_files.rig import ReadOptions, Rig, RigCamera, agreeing
 from gtcal.errors import GtcalError
@@ -190,7 +190,14 @@ class Loader:
         self._check_parameter_names(where, entry.model, entry.parameters)
         self._check_parameters(where, entry.parameters, width, height)
         theta = np.array([entry.parameters[parameter] for parameter in model.parameter_names])
-        return Camera(name, model, theta, width, height, shutter)
+        return Camera(name, model, theta, width, height, shutter, self._sigmas(name, entry, model))
+
+    def _sigmas(self, name: str, entry: CameraEntry, model: CameraModel) -> FloatArray | None:
+        """(K,) of the manifest's parameter_sigmas, NaN where it states none."""
+        if entry.parameter_sigmas is None:
+            return None
+        self._check_known_parameters(f"cameras.{name}.parameter_sigmas", model.name, entry.parameter_sigmas)
+        return np.array([entry.parameter_sigmas.get(parameter, np.nan) for parameter in model.parameter_names])
 
     def _camera_from_file(self, name: str, entry: CameraEntry, intrinsics: IntrinsicsEntry) -> Camera:
         where = f"cameras.{name}.intrinsics"
@@ -206,7 +213,9 @@ class Loader:
         parameters = dict(zip(camera.model.parameter_names, camera.theta.tolist(), strict=True))
         self._check_parameters(where, parameters, camera.image_width_px, camera.image_height_px)
         shutter = _shutter(entry.rolling_shutter) or camera.rolling_shutter
-        return replace(camera, name=name, rolling_shutter=shutter)
+        stated = self._sigmas(name, entry, camera.model)
+        sigmas = camera.theta_sigmas if stated is None else stated
+        return replace(camera, name=name, rolling_shutter=shutter, theta_sigmas=sigmas)
 
     def _chosen(self, name: str, rig: Rig, intrinsics: IntrinsicsEntry) -> RigCamera:
         """The camera that the manifest names, else that of its own name, else the only one."""
@@ -275,7 +284,7 @@ class Loader:
             raise self.error(where, f"there is no {path}")
         return path
 
-    def _check_parameter_names(self, where: str, model: str, parameters: dict[str, float]) -> None:
+    def _check_known_parameters(self, where: str, model: str, parameters: dict[str, float]) -> None:
         names = CAMERA_MODELS[model].parameter_names
         for name in parameters:
             if name not in names:
@@ -283,6 +292,10 @@ class Loader:
                     f"{where}.{name}",
                     f"is not a parameter of {model}{did_you_mean(name, names)}; parameters: {', '.join(names)}",
                 )
+
+    def _check_parameter_names(self, where: str, model: str, parameters: dict[str, float]) -> None:
+        self._check_known_parameters(where, model, parameters)
+        names = CAMERA_MODELS[model].parameter_names
         for name in names:
             if name not in parameters:
                 raise self.error(f"{where}.{name}", f"is missing; {model} has {', '.join(names)}")
@@ -337,10 +350,19 @@ def camera_entry(camera: Camera, images: Images | None, folder: Path, *, with_de
         model=camera.model.name,
         image_size_px=[camera.image_width_px, camera.image_height_px],
         parameters=None if theta is None else dict(zip(camera.model.parameter_names, theta, strict=True)),
+        parameter_sigmas=_sigmas_entry(camera),
         detections=detections_name(camera.name) if with_detections else None,
         rolling_shutter=_shutter_entry(camera.rolling_shutter),
         **({} if images is None else images.entry(camera.name, folder)),
     )
+
+
+def _sigmas_entry(camera: Camera) -> dict[str, float] | None:
+    """The parameters' sigmas, as far as they are known."""
+    if camera.theta_sigmas is None:
+        return None
+    named = zip(camera.model.parameter_names, camera.theta_sigmas.tolist(), strict=True)
+    return {parameter: sigma for parameter, sigma in named if np.isfinite(sigma)} or None
 
 
 def _shutter(entry: ShutterEntry | None) -> RollingShutter | None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import gtsam
 import numpy as np
@@ -110,6 +110,12 @@ class CameraCalibration:
     camera_T_ref: PoseEstimate
     theta_covariance: FloatArray | None
     residuals: ResidualStatistics
+
+    @property
+    def camera_with_sigmas(self) -> Camera:
+        """The camera with the sigmas of its intrinsics, as far as they were solved for."""
+        found = self.theta_covariance
+        return self.camera if found is None else replace(self.camera, theta_sigmas=np.sqrt(np.diag(found)))
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from gtcal.camera import FloatArray
 
@@ -35,6 +35,10 @@ class JointCovariance:
         n = 6 + 6 * len(self.theta_sizes) + sum(self.theta_sizes.values())
         if self.matrix.shape != (n, n):
             raise ValueError(f"{self.matrix.shape=}, expected ({n}, {n})")
+
+    def times(self, factor: float) -> JointCovariance:
+        """All of it larger by a factor."""
+        return replace(self, matrix=factor * self.matrix)
 
     @property
     def columns_of_body_T_board(self) -> slice:
