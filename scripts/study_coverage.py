@@ -93,7 +93,7 @@ def outcome(run: Run) -> Outcome | None:
     """Simulate, calibrate and compare; None where the recording is refused: a camera chances to see too
     little."""
     simulation = simulate(SCENARIOS[run.scenario], seed=run.seed)
-    options = CalibrationOptions(intrinsics="refine" if run.free else "fixed")
+    options = CalibrationOptions(intrinsics="refine" if run.free else "exact")
     try:
         found = calibrate_observations(synchronise(simulation.recording), options)
     except GtcalError:

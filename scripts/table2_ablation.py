@@ -96,7 +96,7 @@ def outcome(task: tuple[Variant, int]) -> Outcome:
     """Solve from one start."""
     variant, seed = task
     simulation, observations, guides, true_X = problem(variant)
-    options = CalibrationOptions(intrinsics="refine" if variant.refine else "fixed", mocap="exact")
+    options = CalibrationOptions(intrinsics="refine" if variant.refine else "exact", mocap="exact")
     try:
         estimate, iterations = _solved(variant, seed, observations, guides, options)
     except (GtcalError, RuntimeError):

@@ -133,7 +133,7 @@ def test_intrinsics_may_be_known_in_part() -> None:
     ],
 )
 def test_priors_that_do_not_fit_are_refused(priors: Priors, free: bool, message: str) -> None:
-    options = CalibrationOptions(priors=priors, intrinsics="refine" if free else "fixed")
+    options = CalibrationOptions(priors=priors, intrinsics="refine" if free else "exact")
     with pytest.raises(GtcalError, match=message):
         calibrate_observations(synchronise(simulated(HEADSET).recording), options)
 

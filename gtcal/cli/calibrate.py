@@ -35,7 +35,7 @@ def calibrate(
     *,
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("calibration.json"),
     report: Path | None = None,
-    intrinsics: Literal["auto", "fixed", "exact", "refine", "calibrate"] = "auto",
+    intrinsics: Literal["auto", "fixed", "exact", "refine", "calibrate"] = "exact",
     calibrate_intrinsics: bool = False,
     refine_intrinsics: bool = False,
     intrinsics_prior: Literal["weak", "stated"] = "weak",
@@ -166,7 +166,7 @@ def intrinsics_mode(stated: IntrinsicsMode, *, calibrate: bool, refine: bool) ->
     short: IntrinsicsMode | None = "calibrate" if calibrate else "refine" if refine else None
     if short is None:
         return stated
-    if stated not in ("auto", short):
+    if stated not in ("exact", short):
         raise GtcalError(f"--intrinsics {stated} and --{short}-intrinsics contradict each other: give one")
     return short
 

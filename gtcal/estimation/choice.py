@@ -6,9 +6,12 @@ from gtcal.estimation.errors_in_variables import MocapNoiseFit
 from gtcal.estimation.mocap_noise import Whiteness
 from gtcal.results.calibration import MocapNoise
 
-WORSE, WORSE_SIGMAS = 1.01, 1.0
+WORSE, WORSE_SIGMAS, MUCH_WORSE = 1.01, 1.0, 1.05
 """Stage 4 has not earned its place where its hold-out error is over 1 % larger than stage 3's, and that by over one
-standard error: it then takes for noise what is systematic."""
+standard error, or over 5 % larger, whatever that may be by chance: it then takes for noise what is systematic."""
+
+MOST_DROPPED = 0.1
+"""Nor where it would have to leave out more than this share of a camera's views, as off by more than its noise."""
 
 NOT_WHITE, NOT_CHANCE = 0.4, 4.0
 """Innovations are not white where their correlation from frame to frame is over 0.4 and over 4 sigma of chance."""
@@ -17,7 +20,7 @@ NOT_WHITE, NOT_CHANCE = 0.4, 4.0
 def choose(fit: MocapNoiseFit, whiteness: Whiteness) -> MocapNoise:
     """The stage to take, with what it rests on."""
     hold_out_px = {3: fit.hold_out.exact_rmse_px, 4: fit.hold_out.noisy_rmse_px}
-    stage, reason = _choice(hold_out_px, fit.hold_out.noisy_worse_by_sigmas, whiteness)
+    stage, reason = _choice(hold_out_px, fit, whiteness)
     noise = fit.noise
     return MocapNoise(
         translation_sigma_mm={name: sigmas.translation_mm for name, sigmas in noise.bodies.items()},
@@ -34,9 +37,12 @@ def choose(fit: MocapNoiseFit, whiteness: Whiteness) -> MocapNoise:
     )
 
 
-def _choice(hold_out_px: dict[int, float], worse_by_sigmas: float, whiteness: Whiteness) -> tuple[int, str]:
+def _choice(hold_out_px: dict[int, float], fit: MocapNoiseFit, whiteness: Whiteness) -> tuple[int, str]:
+    if fit.gross_share > MOST_DROPPED:
+        return 3, f"{fit.gross_share:.0%} of a camera's views lie off by more than noise explains, so it is not noise"
     compared = f"hold-out {hold_out_px[4]:.3g} px with the mocap's noise modelled, {hold_out_px[3]:.3g} px without"
-    if hold_out_px[4] > WORSE * hold_out_px[3] and worse_by_sigmas > WORSE_SIGMAS:
+    surely = fit.hold_out.noisy_worse_by_sigmas > WORSE_SIGMAS
+    if hold_out_px[4] > (WORSE if surely else MUCH_WORSE) * hold_out_px[3]:
         return 3, f"{compared}: what the mocap errs by is systematic, not noise"
     lag_1 = whiteness.lag_1
     if lag_1 > max(NOT_WHITE, NOT_CHANCE * whiteness.lag_1_sigma):

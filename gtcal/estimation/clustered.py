@@ -17,6 +17,7 @@ from gtcal.camera import FloatArray
 from gtcal.estimation.adjustment import Adjusted
 from gtcal.estimation.errors_in_variables import prior_information
 from gtcal.estimation.frame_statistics import FrameMoments, frame_moments, frames_of, in_parts
+from gtcal.estimation.linear import scaled_inverse, scaled_root
 from gtcal.estimation.mocap_noise import MocapNoiseModel, lower_factors
 from gtcal.estimation.observations import Views
 from gtcal.estimation.options import CalibrationOptions
@@ -85,15 +86,6 @@ def _correlated_scatter(by_frame: FloatArray, rho: FloatArray) -> FloatArray:
     return np.asarray(total)
 
 
-def scaled_inverse(H: FloatArray) -> FloatArray:
-    """Of a positive definite matrix whose columns have different units.
-
-    Raises numpy.linalg.LinAlgError where a direction is open."""
-    scale = 1.0 / np.sqrt(np.diag(H))
-    root = np.linalg.inv(np.linalg.cholesky(H * np.outer(scale, scale))) * scale
-    return np.asarray(root.T @ root)
-
-
 def stamps_of(views: Mapping[str, Views]) -> IntArray:
     """(n,) of the frames that any camera saw, increasing."""
     return np.unique(np.concatenate([of_camera.stamps_ns for of_camera in views.values()]))
@@ -115,8 +107,7 @@ def clustered_covariance(parts: Iterable[FrameMoments], information: FloatArray,
     sums = [_of_clusters(part, correlation_s) for part in parts]
     H = np.sum([part[:, :-1, :-1].sum(axis=0) for part in sums], axis=0) + information[:-1, :-1]
     gradients = np.concatenate([part[:, :-1, -1] for part in sums])
-    scale = 1.0 / np.sqrt(np.diag(H))
-    root = np.linalg.inv(np.linalg.cholesky(H * np.outer(scale, scale))) * scale  # root H root^T = I
+    root = scaled_root(H)
     gradients = gradients @ root.T
     if len(gradients) <= MOST_CORRECTED:
         leverage = np.concatenate([part[:, :-1, :-1] for part in sums])

@@ -53,12 +53,14 @@ def ref_T_body_key(frame_index: int) -> int:
 class MocapNoiseFit:
     """What stage 4 takes for the noise.
 
-    hold_out: sums for the hold-out errors of stages 3 and 4. dropped: views of frames that noise does not explain."""
+    hold_out: sums for the hold-out errors of stages 3 and 4. dropped: views of frames that noise does not explain.
+    gross_share: how many these are, as a share of the views of the camera that has most."""
 
     noise: MocapNoiseModel
     sigma_px: float
     hold_out: HoldOut
     dropped: tuple[Dropped, ...]
+    gross_share: float = 0.0
 
 
 def model_mocap_noise(
@@ -104,6 +106,7 @@ def fit_mocap_noise(
     gross = _gross_views(adjusted, noise, motion, options, sample.sigma_px)
     if gross and not options.screen:
         return None
+    gross_share = max((float(mask.mean()) for mask in gross.values()), default=0.0)
     adjusted, dropped = _without(adjusted, gross)
     held_out = hold_out(
         adjusted.screened.views,
@@ -114,7 +117,7 @@ def fit_mocap_noise(
         free_theta=options.refine_intrinsics,
         information=information,
     )
-    return adjusted, MocapNoiseFit(noise, sample.sigma_px, held_out, dropped)
+    return adjusted, MocapNoiseFit(noise, sample.sigma_px, held_out, dropped, gross_share)
 
 
 def _moments(
@@ -142,7 +145,7 @@ def _without(adjusted: Adjusted, gross: Mapping[str, BoolArray]) -> tuple[Adjust
     if not gross or any(mask.mean() > _MOST_GROSS for mask in gross.values()):
         return adjusted, ()
     dropped = tuple(
-        Dropped(name, _GROSS, int(mask.sum()), _n_corners(views[name], mask))
+        Dropped(name, GROSS, int(mask.sum()), _n_corners(views[name], mask))
         for name, mask in gross.items()
         if mask.any()
     )
@@ -154,7 +157,7 @@ def _without(adjusted: Adjusted, gross: Mapping[str, BoolArray]) -> tuple[Adjust
 _MOST_GROSS = 0.5  # of a camera's views: half of them stay, as in ``screen``
 _LEAST_GAIN = 0.05  # a step of a third of a sigma
 _AT_EDGE = "at the edge of the lens's field, where free intrinsics get stuck"
-_GROSS = "mocap pose off by more than its noise explains"
+GROSS = "mocap pose off by more than its noise explains"
 
 
 def _n_corners(views: Views, mask: BoolArray) -> int:

@@ -72,7 +72,7 @@ class CalibrationOptions:
 
     Raises GtcalError for a choice that makes no sense."""
 
-    intrinsics: IntrinsicsMode = "auto"
+    intrinsics: IntrinsicsMode = "exact"
     intrinsics_prior: IntrinsicsPrior = "weak"
     focal_sigma_px: float | None = None
     centre_sigma_px: float | None = None

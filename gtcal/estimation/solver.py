@@ -13,8 +13,10 @@ from gtcal.estimation.adjustment import Adjusted, adjust, joint_covariance, join
 from gtcal.estimation.alignment import GuideViews, fitting_views, stage_1, stage_2, without_stage_1
 from gtcal.estimation.choice import choose
 from gtcal.estimation.clustered import by_noise_model, clustered
-from gtcal.estimation.errors_in_variables import model_mocap_noise, whiteness
+from gtcal.estimation.errors_in_variables import GROSS, model_mocap_noise, whiteness
 from gtcal.estimation.estimate import Estimate
+from gtcal.estimation.held_intrinsics import with_held_intrinsics
+from gtcal.estimation.mocap_noise import MocapNoiseModel
 from gtcal.estimation.motion import check_turning, turning
 from gtcal.estimation.observations import Dropped, Observations, Views, pooled
 from gtcal.estimation.options import CalibrationOptions
@@ -43,8 +45,8 @@ DISAGREEMENT_RAD = np.deg2rad(3.0)
 LOOSE, LOOSE_PX = 5.0, 1.0
 """How many times worse the corners fit in the chain than with a pose of each view's own, and how badly, to warn of."""
 
-MANY_DROPPED = 0.25
-"""A share of gross views that an operator should hear of."""
+MANY_DROPPED, SOME_DROPPED = 0.25, 0.05
+"""Shares of gross views that an operator should hear of: that contradict the chain, and that noise does not explain."""
 
 _MIN_VIEWS = 3
 
@@ -87,6 +89,8 @@ def calibrate_observations(
         if 3 not in options.stages
         else _with_mocap_noise(adjusted, observations, options, progress)
     )
+    if options.intrinsics == "fixed":
+        found = _with_held_intrinsics(found, adjusted, observations, options)
     adjusted, sigmas = found.adjusted, found.covariances.get(found.kind)
     later += found.reports
     final = adjusted.estimate
@@ -102,7 +106,11 @@ def calibrate_observations(
         mocap_noise=found.noise,
         stages=(*earlier, *reports, *later),
         dropped=pooled(observations.dropped + found.dropped),
-        warnings=(*_warnings(observations, adjusted, sigmas, options), *fit_warnings((*reports, *later))),
+        warnings=(
+            *_warnings(observations, adjusted, sigmas, options),
+            *_gross_warnings(found.dropped, observations),
+            *fit_warnings((*reports, *later)),
+        ),
         provenance=provenance(options, inputs, time.perf_counter() - started),
         solution=Solution(adjusted.graph, adjusted.values, final, adjusted.screened.views),
     )
@@ -180,6 +188,21 @@ def _weakness_warnings(
     return weakness_warnings(found, allow_degenerate=options.allow_degenerate)
 
 
+def _gross_warnings(dropped: tuple[Dropped, ...], observations: Observations) -> tuple[str, ...]:
+    """Stage 4 may leave views out, but not in silence."""
+    shares = {
+        drop.camera: drop.n_views / observations.views[drop.camera].n_views
+        for drop in pooled(dropped)
+        if drop.reason == GROSS
+    }
+    return tuple(
+        f"camera {name!r}: {share:.0%} of its views were left out, off by more than the noise of the mocap explains; "
+        "a body that slips or is mistaken looks like that"
+        for name, share in shares.items()
+        if share > SOME_DROPPED
+    )
+
+
 def _screening_warnings(adjusted: Adjusted) -> tuple[str, ...]:
     return tuple(
         f"camera {name!r}: {np.mean(~keep):.0%} of its views contradict the chain and were left out; a mocap body that "
@@ -234,7 +257,8 @@ def _stage_3(
 
 @dataclass(frozen=True)
 class _Found:
-    """The estimate that was taken, what it was chosen from, and what was left out for it."""
+    """The estimate that was taken, what it was chosen from, and what was left out for it. freed, modelled: stage 4's
+    solution and noise, where it was run."""
 
     adjusted: Adjusted
     estimates: dict[int, Estimate]
@@ -242,6 +266,8 @@ class _Found:
     noise: MocapNoise | None
     dropped: tuple[Dropped, ...]
     reports: tuple[StageReport, ...] = ()
+    freed: Adjusted | None = None
+    modelled: MocapNoiseModel | None = None
 
     @property
     def kind(self) -> str:
@@ -279,8 +305,23 @@ def _with_mocap_noise(
     chosen = choose(noise, whiteness(freed, noise, motion, options))
     estimates = {3: adjusted.estimate, 4: freed.estimate}
     if chosen.stage == 3:
-        return _Found(adjusted, estimates, covariances, chosen, dropped, (report,))
-    return _Found(freed, estimates, covariances, chosen, dropped + noise.dropped, (report,))
+        return _Found(adjusted, estimates, covariances, chosen, dropped, (report,), freed, noise.noise)
+    dropped += noise.dropped
+    return _Found(freed, estimates, covariances, chosen, dropped, (report,), freed, noise.noise)
+
+
+def _with_held_intrinsics(
+    found: _Found, of_stage_3: Adjusted, observations: Observations, options: CalibrationOptions
+) -> _Found:
+    """Its covariances with what the held intrinsics' own sigmas add; the naive one stays what the paper's is."""
+    covariances = dict(found.covariances)
+    for kind, adjusted, noise in (
+        (CLUSTERED, of_stage_3, None),
+        (ERRORS_IN_VARIABLES, found.freed, found.modelled),
+    ):
+        if kind in covariances and adjusted is not None:
+            covariances[kind] = with_held_intrinsics(covariances[kind], adjusted, options, observations.motion, noise)
+    return replace(found, covariances=covariances)
 
 
 def _guides(views: Mapping[str, Views], options: CalibrationOptions, progress: Progress) -> dict[str, GuideViews]:

@@ -1,0 +1,21 @@
+"""Linear algebra that unknowns of different units need."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from gtcal.camera import FloatArray
+
+
+def scaled_root(H: FloatArray) -> FloatArray:
+    """R with R H R^T = I, of a positive definite matrix whose columns have different units.
+
+    Raises numpy.linalg.LinAlgError where a direction is open."""
+    scale = 1.0 / np.sqrt(np.diag(H))
+    return np.asarray(np.linalg.inv(np.linalg.cholesky(H * np.outer(scale, scale))) * scale)
+
+
+def scaled_inverse(H: FloatArray) -> FloatArray:
+    """H^-1, as ``scaled_root``."""
+    root = scaled_root(H)
+    return np.asarray(root.T @ root)
