@@ -63,6 +63,7 @@ class CalibrationOptions:
         ``robust`` (graduated non-convexity: Yang et al. 2020; with GemanMcClure it is theirs). For data with so many
         outliers that screening by medians fails; a redescending kernel is needed, and ``screen`` may be off.
 
+    effects: look for what the model leaves out (a slip of markers, a bumped camera, a clock, a lens, a scale).
     clock: see ``ClockMode``. clock_drift: where the offset is estimated, let it grow linearly in time.
 
     Raises GtcalError for a choice that makes no sense."""
@@ -86,6 +87,7 @@ class CalibrationOptions:
     graduated: bool = False
     clock: ClockMode = "test"
     clock_drift: bool = False
+    effects: bool = True
 
     def __post_init__(self) -> None:
         if not self.stages or not set(self.stages) <= {1, 2, 3} or list(self.stages) != sorted(set(self.stages)):

@@ -16,6 +16,7 @@ from gtcal.files import InputFile
 from gtcal.recordings.capture import Capture
 from gtcal.recordings.detections import IntArray
 from gtcal.results.covariance import JointCovariance
+from gtcal.results.effect_finding import EffectFinding
 
 
 @dataclass(frozen=True)
@@ -245,6 +246,8 @@ class Calibration:
     mocap_noise: None where it was not modelled.
     clock: None where it was neither estimated nor tested, or the motion does not tell.
     warnings: what the operator should know, a line each.
+    effects: what the model leaves out and the data were asked about: first those that are no chance, by how far they
+        would move a camera.
     solution: None where the calibration was read from a file."""
 
     capture: Capture
@@ -261,6 +264,7 @@ class Calibration:
     warnings: tuple[str, ...]
     provenance: Provenance
     clock: Clock | None = None
+    effects: tuple[EffectFinding, ...] = ()
     solution: Solution | None = field(default=None, compare=False, repr=False)
 
     @property
