@@ -47,10 +47,12 @@ class Part:
 
 @dataclass(frozen=True)
 class ChangePoint:
-    """A part that moved. index: of the first frame after it. tests: how many places and times were tried."""
+    """A part that moved. index: of the first frame after it. after_ns: when, half-way from the last frame before.
+    tests: how many places and times were tried."""
 
     part: Part
     index: int
+    after_ns: int
     moment: Moment
     tests: int
 
@@ -163,7 +165,7 @@ class _Search:
         inverse = np.linalg.inv(_regular(H))
         information = own - np.swapaxes(N, 1, 2) @ inverse @ N
         score = TE[times][:, -1] - (inverse @ g) @ N
-        step = np.linalg.solve(information + _OPEN * own * np.eye(6), score[:, :, None])[:, :, 0]
+        step: FloatArray = np.linalg.solve(information + _OPEN * own * np.eye(6), score[:, :, None])[:, :, 0]
         gain[times] = np.einsum("ni,ni->n", score, step)
         return gain
 
@@ -191,9 +193,10 @@ class _Search:
         likely = np.flatnonzero(gain >= max(gain[index] - _INTERVAL, 0.5 * gain[index]))
         before = [int(shown[np.searchsorted(shown, i) - 1]) for i in (index, likely[0])]
         seconds = self.frames.seconds(self.frames.stamps_ns)
-        middle = 0.5 * (seconds[before[0]] + seconds[index])
-        moment = Moment(float(middle), float(seconds[before[1]]), float(seconds[likely[-1]]))
-        return ChangePoint(part, index, moment, self.tests)
+        middle = 0.5 * float(seconds[before[0]] + seconds[index])
+        moment = Moment(middle, float(seconds[before[1]]), float(seconds[likely[-1]]))
+        after_ns = self.frames.start_ns + round(1e9 * middle)
+        return ChangePoint(part, index, after_ns, moment, self.tests)
 
 
 def _padded(columns: FloatArray) -> FloatArray:
@@ -210,6 +213,7 @@ def find_changes(frames: Frames, *, level: float) -> tuple[Frames, tuple[ChangeP
     the noise that is left once these are in. Noise that a slip inflates hides others: it is estimated anew until the
     same changes stay."""
     found: tuple[ChangePoint, ...] = ()
+    before: tuple[ChangePoint, ...]
     for _ in range(_ROUNDS):
         search = _Search.of(frames)
         before, found = found, _grown(search, found, level)

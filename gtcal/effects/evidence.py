@@ -71,7 +71,7 @@ class Sums:
         base = np.concatenate([np.arange(len(self.frames.free)), *(self.columns[g] for g in given)])
         chosen = np.concatenate([base, self.columns[effect]])
         k = len(self.columns[effect])
-        without, (solved, model, sandwich) = self._solution(base)[0], self._solution(chosen)
+        without, (solved, model, sandwich) = self.solution(base)[0], self.solution(chosen)
         estimate, model, sandwich = solved[-k:], model[-k:, -k:], sandwich[-k:, -k:]
         p_value = max(_p_of_model(estimate, model), _p_of_scatter(estimate, sandwich, len(self.noisy)))
         moved = solved[: len(self.frames.free)] - without[: len(self.frames.free)]
@@ -84,7 +84,7 @@ class Sums:
             {name: moved[6 + 6 * c : 12 + 6 * c] for c, name in enumerate(self.frames.cameras)},
         )
 
-    def _solution(self, chosen: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def solution(self, chosen: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """The unknowns ``chosen`` (u,), with their covariances (u, u) by the model and by the scatter."""
         noisy, prior = self.noisy[:, chosen], self.information[chosen]
         parts, gradients = noisy[:, :, chosen], noisy[:, :, -1]

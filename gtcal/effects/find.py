@@ -34,7 +34,7 @@ def with_effects(calibration: Calibration, observations: Observations, options: 
 
     observations: those that it was computed from. Where the mocap was taken as exact, or its noise could not be told,
     nothing is looked for: significance needs a noise."""
-    found = find_effects(calibration, observations, options)
+    found, _ = find_effects(calibration, observations, options)
     return replace(calibration, effects=found, warnings=(*calibration.warnings, *effect_warnings(found)))
 
 
@@ -59,13 +59,11 @@ def find_effects(
     options: CalibrationOptions,
     *,
     more: Sequence[Effect] = (),
-) -> tuple[EffectFinding, ...]:
-    """All effects, those that move a camera most first; ``more``: the caller's own."""
-    if calibration.mocap_noise is None:
-        return ()
-    frames = Frames.of(observations, calibration.estimate, noise_model(calibration.mocap_noise), options)
+) -> tuple[tuple[EffectFinding, ...], tuple[ChangePoint, ...]]:
+    """All effects, those that move a camera most first, and the changes among them; ``more``: the caller's own."""
+    frames = frames_of(calibration, observations, options)
     if frames is None:
-        return ()
+        return (), ()
     frames, changes = find_changes(frames, level=0.5 * FALSE_ALARMS)
     lasting = (*lasting_effects(frames, options), *more)
     effects = (*changes, *lasting)
@@ -81,7 +79,14 @@ def find_effects(
         )
         for index, effect in enumerate(effects)
     ]
-    return tuple(sorted(found, key=lambda finding: (not finding.significant, -finding.largest_move_mm)))
+    return tuple(sorted(found, key=lambda finding: (not finding.significant, -finding.largest_move_mm))), changes
+
+
+def frames_of(calibration: Calibration, observations: Observations, options: CalibrationOptions) -> Frames | None:
+    """What effects are looked for in; None where the mocap's noise is not known, or the frames are too few."""
+    if calibration.mocap_noise is None:
+        return None
+    return Frames.of(observations, calibration.estimate, noise_model(calibration.mocap_noise), options)
 
 
 def _let_in(sums: Sums, tests: Sequence[float], changes: Sequence[int]) -> list[int]:

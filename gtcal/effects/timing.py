@@ -63,7 +63,7 @@ class ClockDrift:
 
 @dataclass(frozen=True)
 class BodyLag:
-    """The platform's poses are of later times than the board body's, as where the mocap filters one more than the other."""
+    """The platform's poses are of other times than the board body's, as where the mocap smooths one more."""
 
     name: str = "platform lag"
     what: str = "the mocap's poses of 'platform' and 'board_body' are of different times"

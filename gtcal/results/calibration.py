@@ -235,6 +235,21 @@ class Solution:
 
 
 @dataclass(frozen=True)
+class Segment:
+    """A stretch of a recording during which something moved.
+
+    start_s, end_s: in s from the first image. moved: what moved at its start ('platform', 'board_body' or a camera);
+        empty for the first.
+    body_T_board, camera_T_ref: as of a ``Calibration``, in the bodies' frames as their markers then were."""
+
+    start_s: float
+    end_s: float
+    moved: str
+    body_T_board: PoseEstimate
+    camera_T_ref: dict[str, PoseEstimate]
+
+
+@dataclass(frozen=True)
 class Calibration:
     """The result of ``calibrate``.
 
@@ -248,6 +263,8 @@ class Calibration:
     warnings: what the operator should know, a line each.
     effects: what the model leaves out and the data were asked about: first those that are no chance, by how far they
         would move a camera.
+    segments: where it was calibrated in stretches between changes, those, in order of time; cameras and body_T_board
+        are those of the first.
     solution: None where the calibration was read from a file."""
 
     capture: Capture
@@ -265,6 +282,7 @@ class Calibration:
     provenance: Provenance
     clock: Clock | None = None
     effects: tuple[EffectFinding, ...] = ()
+    segments: tuple[Segment, ...] = ()
     solution: Solution | None = field(default=None, compare=False, repr=False)
 
     @property
