@@ -61,6 +61,15 @@ def find_effects(
     more: Sequence[Effect] = (),
 ) -> tuple[tuple[EffectFinding, ...], tuple[ChangePoint, ...]]:
     """All effects, those that move a camera most first, and the changes among them; ``more``: the caller's own."""
+    try:
+        return _found(calibration, observations, options, more)
+    except np.linalg.LinAlgError:  # a direction that the data leave open, which other warnings name
+        return (), ()
+
+
+def _found(
+    calibration: Calibration, observations: Observations, options: CalibrationOptions, more: Sequence[Effect]
+) -> tuple[tuple[EffectFinding, ...], tuple[ChangePoint, ...]]:
     frames = frames_of(calibration, observations, options)
     if frames is None:
         return (), ()
@@ -79,6 +88,7 @@ def find_effects(
         )
         for index, effect in enumerate(effects)
     ]
+    found = [finding for finding in found if finding.is_finite]
     return tuple(sorted(found, key=lambda finding: (not finding.significant, -finding.largest_move_mm))), changes
 
 

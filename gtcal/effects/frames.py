@@ -105,6 +105,8 @@ class Frames:
     ) -> Frames | None:
         """Of all views but isolated gross ones; None where these leave too few."""
         views = without_isolated(observations.views, estimate)
+        if any(of_camera.n_views == 0 for of_camera in views.values()):
+            return None
         frames = _chosen(views)
         raw = frame_moments(views, estimate, sigma_px=1.0, free_theta=True, frames=frames)
         raw = raw.whitened_by(options.sigma_px or max(raw.pixel_sigma_px, 1e-6))

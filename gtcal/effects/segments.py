@@ -79,8 +79,14 @@ def in_segments(
     settled = _settled(split, _Slips(slips, np.tile(np.eye(4), (len(slips), 1, 1))), options, solve)
     effects = _effects(found, settled, options, tuple(calibration.cameras))
     segments = _segments(settled, changes, observations)
-    said = (*settled.calibration.warnings, *effect_warnings(effects))
-    return _merged(settled.calibration, tuple(calibration.cameras), effects=effects, segments=segments, warnings=said)
+    merged = _merged(settled.calibration, tuple(calibration.cameras))
+    return replace(
+        merged,
+        clock=calibration.clock,
+        effects=effects,
+        segments=segments,
+        warnings=(*merged.warnings, *effect_warnings(effects)),
+    )
 
 
 def _sorted_out(changes: Sequence[ChangePoint]) -> tuple[tuple[ChangePoint, ...], tuple[ChangePoint, ...]]:
@@ -89,9 +95,9 @@ def _sorted_out(changes: Sequence[ChangePoint]) -> tuple[tuple[ChangePoint, ...]
     return cameras, tuple(change for change in changes if not change.part.is_camera)
 
 
-def _later(camera: str, after_ns: int) -> str:
-    """What a camera is called from a move on, inside here."""
-    return f"{camera} after {after_ns}"
+def _later(change: ChangePoint) -> str:
+    """What a camera is called from a move on."""
+    return f"{change.part.name} after {change.moment.at_s:.2f} s"
 
 
 def _split(observations: Observations, changes: Sequence[ChangePoint]) -> Observations:
@@ -101,7 +107,7 @@ def _split(observations: Observations, changes: Sequence[ChangePoint]) -> Observ
         of_camera = views[change.part.name]
         after = of_camera.stamps_ns >= change.after_ns
         views[change.part.name] = select_views(of_camera, np.flatnonzero(~after))
-        name = _later(change.part.name, change.after_ns)
+        name = _later(change)
         moved = select_views(of_camera, np.flatnonzero(after))
         later[name] = replace(moved, camera=replace(of_camera.camera, name=name))
     return replace(observations, views=views | later)
@@ -247,8 +253,8 @@ def _board_at(settled: _Settled, at_ns: int) -> PoseEstimate:
 
 def _camera_at(settled: _Settled, changes: Sequence[ChangePoint], camera: str, at_ns: int) -> PoseEstimate:
     """camera_T_ref in the stretch that begins then: Y_c * D."""
-    own = [change.after_ns for change in changes if change.part.name == camera and change.after_ns <= at_ns]
-    name = _later(camera, max(own)) if own else camera
+    own = [change for change in changes if change.part.name == camera and change.after_ns <= at_ns]
+    name = _later(own[-1]) if own else camera
     pose = settled.calibration.cameras[name].camera_T_ref
     (platform_D,) = settled.slips.at("platform", np.array([at_ns]))
     start = 6 + 6 * list(settled.calibration.cameras).index(name)
@@ -276,14 +282,7 @@ def _sum(covariance: FloatArray | None, more: FloatArray) -> FloatArray | None:
     return None if covariance is None else covariance + more
 
 
-def _merged(
-    calibration: Calibration,
-    cameras: tuple[str, ...],
-    *,
-    effects: tuple[EffectFinding, ...],
-    segments: tuple[Segment, ...],
-    warnings: tuple[str, ...],
-) -> Calibration:
+def _merged(calibration: Calibration, cameras: tuple[str, ...]) -> Calibration:
     """With the recording's own cameras alone, each as it was in the first stretch."""
     solution = calibration.solution
     return replace(
@@ -298,9 +297,6 @@ def _merged(
             estimate=_estimate_of(solution.estimate, cameras),
             views={name: solution.views[name] for name in cameras},
         ),
-        effects=effects,
-        segments=segments,
-        warnings=warnings,
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 
@@ -72,6 +73,13 @@ class EffectFinding:
     def largest_move_deg(self) -> float:
         """Of any camera."""
         return max(self.moves_deg.values(), default=0.0)
+
+    @property
+    def is_finite(self) -> bool:
+        """Whether the data tell it at all."""
+        numbers = [number for quantity in self.estimate for number in (quantity.value, quantity.sigma)]
+        numbers += [self.p_value, self.hold_out_drop_px, *self.moves_mm.values(), *self.moves_deg.values()]
+        return all(map(math.isfinite, numbers))
 
     @property
     def size(self) -> str:
