@@ -152,7 +152,7 @@ class _Search:
 
     def scan(self, part: Part, changes: Sequence[ChangePoint]) -> FloatArray:
         """(n,) by how much the weighted squares fall if the part moves at each frame; 0 where too few show it."""
-        times = np.flatnonzero(self.allowed(part))
+        times = np.flatnonzero(self.allowed(part) & self._apart(part, changes))
         gain = np.zeros(len(self.after))
         if len(times) == 0:
             return gain
@@ -174,6 +174,12 @@ class _Search:
         shown = np.cumsum(part.frames)
         before = shown - part.frames
         return part.frames & (before >= FEWEST_FRAMES) & (shown[-1] - before >= FEWEST_FRAMES)
+
+    def _apart(self, part: Part, changes: Sequence[ChangePoint]) -> BoolArray:
+        """(n,) whether enough frames that show the part lie between each and all changes of the part."""
+        shown = np.cumsum(part.frames)
+        own = [change.index for change in changes if change.part.name == part.name]
+        return np.all([np.abs(shown - shown[index]) >= FEWEST_FRAMES for index in own] or [shown >= 0], axis=0)
 
     def most_significant(self, changes: Sequence[ChangePoint]) -> tuple[ChangePoint, float] | None:
         """One more change, and by how much the squares fall with it."""
@@ -233,27 +239,35 @@ def _where(changes: Sequence[ChangePoint]) -> list[tuple[str, int]]:
 def _grown(search: _Search, found: tuple[ChangePoint, ...], level: float) -> tuple[ChangePoint, ...]:
     """With one more at a time, while it is significant; all tested again given the others."""
     least_gain = chi2.isf(level / max(search.tests, 1), 6)
-    found = _tested_again(search, found, least_gain)
+    found = _those_that_hold(search, _tested_again(search, found, least_gain), level)
     while len(found) < MOST_CHANGES:
         more = search.most_significant(found)
         if more is None or more[1] < least_gain:
             break
-        grown = _tested_again(search, (*found, more[0]), least_gain)
-        if len(grown) <= len(found) or not _holds(search, grown, level):
+        grown = _those_that_hold(search, _tested_again(search, (*found, more[0]), least_gain), level)
+        if len(grown) <= len(found):
             break
         found = grown
     return tuple(sorted(found, key=lambda change: change.index))
 
 
-def _holds(search: _Search, changes: tuple[ChangePoint, ...], level: float) -> bool:
-    """Whether each change, given the others, is no chance by the frames' own scatter too, and predicts unseen frames
+def _those_that_hold(search: _Search, changes: tuple[ChangePoint, ...], level: float) -> tuple[ChangePoint, ...]:
+    """The changes that, given the others, are no chance by the frames' own scatter either, and predict unseen frames
     better: what a wrong lens does to a board that wanders through the image looks like small changes, but does not."""
-    sums = Sums.of(search.frames, changes)
-    for index in range(len(changes)):
-        evidence = sums.evidence(index, [other for other in range(len(changes)) if other != index])
-        if evidence.p_value * search.tests > level or evidence.hold_out_drop_px <= 0.0:
-            return False
-    return True
+    while changes:
+        sums = Sums.of(search.frames, changes)
+        everyone = range(len(changes))
+        found = [sums.evidence(index, [other for other in everyone if other != index]) for index in everyone]
+        failing = [
+            index
+            for index, evidence in enumerate(found)
+            if evidence.p_value * search.tests > level or evidence.hold_out_drop_px <= 0.0
+        ]
+        if not failing:
+            break
+        worst = min(failing, key=lambda index: found[index].worth)
+        changes = tuple(change for index, change in enumerate(changes) if index != worst)
+    return changes
 
 
 def _tested_again(search: _Search, found: tuple[ChangePoint, ...], least_gain: float) -> tuple[ChangePoint, ...]:

@@ -79,15 +79,11 @@ def _found(
     tests = [2.0 * (effect.tests if isinstance(effect, ChangePoint) else len(lasting)) for effect in effects]
     sums = Sums.of(frames, effects)
     let_in = _let_in(sums, tests, range(len(changes)))
-    found = [
-        _finding(
-            effect,
-            sums.evidence(index, [other for other in let_in if other != index]),
-            calibration.estimate,
-            tests[index],
-        )
-        for index, effect in enumerate(effects)
-    ]
+    found = []
+    for index, effect in enumerate(effects):
+        given = range(len(changes)) if isinstance(effect, ChangePoint) else let_in
+        evidence = sums.evidence(index, [other for other in given if other != index])
+        found.append(_finding(effect, evidence, calibration.estimate, tests[index]))
     found = [finding for finding in found if finding.is_finite]
     return tuple(sorted(found, key=lambda finding: (not finding.significant, -finding.largest_move_mm))), changes
 

@@ -22,7 +22,7 @@ MOST_NUMBERS = 2e7
 """Of all the frames' moments: 160 MB."""
 
 _FEWEST_FRAMES, _MOST_FRAMES = 200, 2000
-_CLUSTERS = 40
+_CLUSTERS = 24
 _FEWEST_OF_A_CLUSTER = 3
 
 
