@@ -36,11 +36,13 @@ _OPEN = 1e-9
 @dataclass(frozen=True)
 class Part:
     """What can move: a tracked body ('board_body', 'platform') or one of the cameras; ``columns`` (D - 1, 6): what its
-    move does to the tangents of each frame after it. frames: (n,) whether a frame would show it."""
+    move does to the tangents of each frame after it. lens: (D - 1, l), what else a bump may do: a camera's principal
+    point moves, which is let in where other effects are looked for. frames: (n,) whether a frame would show it."""
 
     name: str
     is_camera: bool
     columns: FloatArray
+    lens: FloatArray
     frames: BoolArray
     position_m: FloatArray | None = None
 
@@ -94,11 +96,11 @@ def parts(frames: Frames) -> tuple[Part, ...]:
     if "board_body" in capture.bodies:
         columns = np.zeros((size, 6))
         columns[:6] = -np.eye(6)
-        found.append(Part("board_body", False, columns, any_frame))
+        found.append(Part("board_body", False, columns, np.zeros((size, 0)), any_frame))
     if "platform" in capture.bodies:
         columns = np.zeros((size, 6))
         columns[12 : 12 + 6 * len(frames.cameras)] = np.tile(np.eye(6), (len(frames.cameras), 1))
-        found.append(Part("platform", False, columns, any_frame))
+        found.append(Part("platform", False, columns, np.zeros((size, 0)), any_frame))
     if len(frames.cameras) > 1 or capture is Capture.FIXED_CAMERAS:
         found += [_camera(frames, name) for name in frames.cameras]
     return tuple(found)
@@ -109,7 +111,29 @@ def _camera(frames: Frames, name: str) -> Part:
     columns[frames.columns_of_camera(name)] = np.eye(6)
     camera_T_ref = frames.estimate.camera_T_ref[name]
     position_m = -camera_T_ref[:3, :3].T @ camera_T_ref[:3, 3]
-    return Part(name, True, columns, frames.seen[name], position_m)
+    lens = np.zeros((frames.n_columns, 2))
+    centre = frames.columns_of_theta(name).start + 2
+    if centre not in frames.free:
+        lens[[centre, centre + 1], [0, 1]] = 1.0
+    return Part(name, True, columns, lens, frames.seen[name], position_m)
+
+
+@dataclass(frozen=True)
+class LensAfter:
+    """What a change does to a lens, let in where other effects are looked for: no finding of its own."""
+
+    change: ChangePoint
+    name: str = ""
+    what: str = ""
+    advice: str = ""
+    moment: Moment | None = None
+
+    def columns(self, frames: Frames) -> FloatArray:
+        after = np.arange(len(frames.stamps_ns)) >= self.change.index
+        return np.asarray(after[:, None, None] * self.change.part.lens, dtype=np.float64)
+
+    def quantities(self, estimate: FloatArray, covariance: FloatArray) -> tuple[Quantity, ...]:
+        return ()
 
 
 @dataclass(frozen=True)
@@ -132,7 +156,7 @@ class _Search:
     def base(self, changes: Sequence[ChangePoint]) -> tuple[FloatArray, FloatArray]:
         """(U, U) and (U,): the normal equations of the calibration's unknowns and of the changes."""
         n = len(self.frames.free)
-        images = [self._unknowns, *(_padded(change.part.columns) for change in changes)]
+        images = [self._unknowns, *(_whole(change) for change in changes)]
         starts = [0, *(change.index for change in changes)]
         sides = list(zip(images, starts, strict=True))
         H = np.block([[a.T @ self.after[max(i, j)] @ b for b, j in sides] for a, i in sides])
@@ -146,7 +170,7 @@ class _Search:
         return np.eye(self.after.shape[1])[:, self.frames.free]
 
     def solved(self, changes: Sequence[ChangePoint]) -> FloatArray:
-        """(U,) the unknowns, then the changes."""
+        """(U,) the unknowns, then the changes, each with its lens."""
         H, g = self.base(changes)
         return -np.linalg.solve(_regular(H), g)
 
@@ -159,27 +183,28 @@ class _Search:
         H, g = self.base(changes)
         TE = self.after @ _padded(part.columns)
         crossed = [TE[times][:, self.frames.free]]
-        crossed += [_padded(change.part.columns).T @ TE[np.maximum(times, change.index)] for change in changes]
+        crossed += [_whole(change).T @ TE[np.maximum(times, change.index)] for change in changes]
         N = np.concatenate(crossed, axis=1)
         own = np.swapaxes(_padded(part.columns).T @ TE[times], 1, 2)
         inverse = np.linalg.inv(_regular(H))
         information = own - np.swapaxes(N, 1, 2) @ inverse @ N
         score = TE[times][:, -1] - (inverse @ g) @ N
-        step: FloatArray = np.linalg.solve(information + _OPEN * own * np.eye(6), score[:, :, None])[:, :, 0]
-        gain[times] = np.einsum("ni,ni->n", score, step)
+        step = np.linalg.solve(information + _OPEN * own * np.eye(6), score[:, :, None])
+        gain[times] = np.einsum("ni,nik->n", score, step)
         return gain
 
     def allowed(self, part: Part) -> BoolArray:
         """(n,) whether the part may move just before each frame: it and enough others, before and after, show it."""
         shown = np.cumsum(part.frames)
         before = shown - part.frames
-        return part.frames & (before >= FEWEST_FRAMES) & (shown[-1] - before >= FEWEST_FRAMES)
+        return np.asarray(part.frames & (before >= FEWEST_FRAMES) & (shown[-1] - before >= FEWEST_FRAMES))
 
     def _apart(self, part: Part, changes: Sequence[ChangePoint]) -> BoolArray:
         """(n,) whether enough frames that show the part lie between each and all changes of the part."""
         shown = np.cumsum(part.frames)
         own = [change.index for change in changes if change.part.name == part.name]
-        return np.all([np.abs(shown - shown[index]) >= FEWEST_FRAMES for index in own] or [shown >= 0], axis=0)
+        far = [np.abs(shown - shown[index]) >= FEWEST_FRAMES for index in own]
+        return np.all([shown >= 0, *far], axis=0)
 
     def most_significant(self, changes: Sequence[ChangePoint]) -> tuple[ChangePoint, float] | None:
         """One more change, and by how much the squares fall with it."""
@@ -210,8 +235,14 @@ def _padded(columns: FloatArray) -> FloatArray:
     return np.vstack([columns, np.zeros((1, columns.shape[1]))])
 
 
+def _whole(change: ChangePoint) -> FloatArray:
+    """(D, 6 + l) with its lens."""
+    return _padded(np.hstack([change.part.columns, change.part.lens]))
+
+
 def _regular(H: FloatArray) -> FloatArray:
-    return np.asarray(H + _OPEN * np.diag(np.diag(H)))
+    diagonal = np.diag(H)
+    return np.asarray(H + np.diag(np.where(diagonal > 0.0, _OPEN * diagonal, 1.0)))
 
 
 def find_changes(frames: Frames, *, level: float) -> tuple[Frames, tuple[ChangePoint, ...]]:
@@ -219,11 +250,11 @@ def find_changes(frames: Frames, *, level: float) -> tuple[Frames, tuple[ChangeP
     the noise that is left once these are in. Noise that a slip inflates hides others: it is estimated anew until the
     same changes stay."""
     found: tuple[ChangePoint, ...] = ()
-    before: tuple[ChangePoint, ...]
     for _ in range(_ROUNDS):
         search = _Search.of(frames)
-        before, found = found, _grown(search, found, level)
-        if not found or _where(found) == _where(before):
+        before = _where(found)
+        found = _grown(search, found, level)
+        if not found or _where(found) == before:
             break
         noise = frames.noise_left(_shift(search, found))
         if noise is None:
@@ -255,9 +286,9 @@ def _those_that_hold(search: _Search, changes: tuple[ChangePoint, ...], level: f
     """The changes that, given the others, are no chance by the frames' own scatter either, and predict unseen frames
     better: what a wrong lens does to a board that wanders through the image looks like small changes, but does not."""
     while changes:
-        sums = Sums.of(search.frames, changes)
-        everyone = range(len(changes))
-        found = [sums.evidence(index, [other for other in everyone if other != index]) for index in everyone]
+        count = len(changes)
+        sums = Sums.of(search.frames, (*changes, *map(LensAfter, changes)))
+        found = [sums.evidence(index, others_of(index, count)) for index in range(count)]
         failing = [
             index
             for index, evidence in enumerate(found)
@@ -268,6 +299,12 @@ def _those_that_hold(search: _Search, changes: tuple[ChangePoint, ...], level: f
         worst = min(failing, key=lambda index: found[index].worth)
         changes = tuple(change for index, change in enumerate(changes) if index != worst)
     return changes
+
+
+def others_of(index: int, count: int) -> list[int]:
+    """The places of all other changes and of their lenses, where ``count`` changes come first and their lenses next."""
+    others = [other for other in range(count) if other != index]
+    return [*others, *(count + other for other in others)]
 
 
 def _tested_again(search: _Search, found: tuple[ChangePoint, ...], least_gain: float) -> tuple[ChangePoint, ...]:
@@ -284,6 +321,8 @@ def _shift(search: _Search, changes: Sequence[ChangePoint]) -> FloatArray:
     shift = np.zeros((len(frames.stamps_ns), frames.n_columns))
     n = len(frames.free)
     shift[:, frames.free] = solved[:n]
-    for change, move in zip(changes, solved[n:].reshape(-1, 6), strict=True):
-        shift += change.columns(frames) @ move
+    for change in changes:
+        columns = np.concatenate([change.columns(frames), LensAfter(change).columns(frames)], axis=2)
+        shift += columns @ solved[n : n + columns.shape[2]]
+        n += columns.shape[2]
     return shift

@@ -41,7 +41,7 @@ def length(name: str, components: FloatArray, covariance: FloatArray, scale: flo
     """The norm of components with its 1-sigma along them."""
     norm = float(np.linalg.norm(components))
     along = components / norm if norm > 0.0 else np.full(len(components), len(components) ** -0.5)
-    return Quantity(name, scale * norm, scale * float(np.sqrt(max(along @ covariance @ along, 0.0))), unit)
+    return Quantity(name, scale * norm, scale * float(np.sqrt(max(float(along @ covariance @ along), 0.0))), unit)
 
 
 def single(estimate: FloatArray, covariance: FloatArray, scale: float, unit: str) -> tuple[Quantity, ...]:

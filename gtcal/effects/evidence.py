@@ -23,6 +23,7 @@ from gtcal.recordings.detections import IntArray
 FOLDS = 10
 
 _OPEN = 1e-9
+_LARGEST_LEVERAGE = 0.999
 
 
 @dataclass(frozen=True)
@@ -91,7 +92,7 @@ class Sums:
         H = parts.sum(axis=0) + prior[:, chosen]
         covariance = _inverse(H)
         solved = -covariance @ (gradients.sum(axis=0) + prior[:, -1])
-        scores = _as_if_left_out(parts @ covariance, gradients + parts @ solved) @ covariance
+        scores = _corrected(covariance, parts, gradients + parts @ solved)
         scatter = scores.T @ scores + covariance @ prior[:, chosen] @ covariance
         return solved, covariance, scatter
 
@@ -125,11 +126,16 @@ def _summed(frames: Frames, moments: FloatArray, image: FloatArray) -> FloatArra
     return sums
 
 
-def _as_if_left_out(leverage: FloatArray, scores: FloatArray) -> FloatArray:
-    """(G, u) each stretch's gradient at the solution without it (the jackknife; CR3): a stretch that an effect was
-    fitted to alone tells nothing of how well it fits."""
-    rest = (1.0 + _OPEN) * np.eye(leverage.shape[1]) - leverage
-    return np.asarray(np.linalg.solve(rest, scores[:, :, None])[:, :, 0])
+def _corrected(covariance: FloatArray, parts: FloatArray, gradients: FloatArray) -> FloatArray:
+    """(G, u) what each stretch's gradient at the solution moves the solution by, amplified by what the solution was
+    fitted to it (CR2, as in ``gtcal.estimation.clustered``): a stretch that alone determines an effect tells nothing of
+    how well it fits."""
+    scale = np.sqrt(np.diag(covariance))
+    root = scale[:, None] * np.linalg.cholesky(covariance / np.outer(scale, scale))
+    leverage, axes = np.linalg.eigh(root.T @ parts @ root)
+    amplified = 1.0 / np.sqrt(1.0 - np.clip(leverage, 0.0, _LARGEST_LEVERAGE))
+    in_axes = amplified * np.einsum("gpk,gp->gk", axes, gradients @ root)
+    return np.einsum("gpk,gk->gp", axes, in_axes) @ root.T
 
 
 def _scale(square: FloatArray) -> FloatArray:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from gtcal.camera import FloatArray
-from gtcal.effects.change_points import ChangePoint, find_changes
+from gtcal.effects.change_points import ChangePoint, LensAfter, find_changes, others_of
 from gtcal.effects.effect import Effect
 from gtcal.effects.evidence import Evidence, Sums
 from gtcal.effects.frames import Frames
@@ -75,15 +75,16 @@ def _found(
         return (), ()
     frames, changes = find_changes(frames, level=0.5 * FALSE_ALARMS)
     lasting = (*lasting_effects(frames, options), *more)
-    effects = (*changes, *lasting)
-    tests = [2.0 * (effect.tests if isinstance(effect, ChangePoint) else len(lasting)) for effect in effects]
+    effects = (*changes, *map(LensAfter, changes), *lasting)
+    tests = {index: 2.0 * change.tests for index, change in enumerate(changes)}
+    tests |= {index: 2.0 * len(lasting) for index in range(2 * len(changes), len(effects))}
     sums = Sums.of(frames, effects)
-    let_in = _let_in(sums, tests, range(len(changes)))
+    let_in = _let_in(sums, tests, range(2 * len(changes)))
     found = []
-    for index, effect in enumerate(effects):
-        given = range(len(changes)) if isinstance(effect, ChangePoint) else let_in
-        evidence = sums.evidence(index, [other for other in given if other != index])
-        found.append(_finding(effect, evidence, calibration.estimate, tests[index]))
+    for index, count in tests.items():
+        is_change = index < len(changes)
+        given = others_of(index, len(changes)) if is_change else [other for other in let_in if other != index]
+        found.append(_finding(effects[index], sums.evidence(index, given), calibration.estimate, count))
     found = [finding for finding in found if finding.is_finite]
     return tuple(sorted(found, key=lambda finding: (not finding.significant, -finding.largest_move_mm))), changes
 
@@ -95,13 +96,12 @@ def frames_of(calibration: Calibration, observations: Observations, options: Cal
     return Frames.of(observations, calibration.estimate, noise_model(calibration.mocap_noise), options)
 
 
-def _let_in(sums: Sums, tests: Sequence[float], changes: Sequence[int]) -> list[int]:
-    """The changes, and one at a time the effect that explains most, while it is significant: a wrong focal length, let
+def _let_in(sums: Sums, tests: Mapping[int, float], given: Sequence[int]) -> list[int]:
+    """Those given, and one at a time the effect that explains most, while it is significant: a wrong focal length, let
     in, no longer looks like a wrong distortion."""
-    chosen = list(changes)
+    chosen = list(given)
     while True:
-        others = [index for index in range(len(tests)) if index not in chosen]
-        tried = {index: sums.evidence(index, chosen) for index in others}
+        tried = {index: sums.evidence(index, chosen) for index in tests if index not in chosen}
         tried = {index: found for index, found in tried.items() if _significant(found, tests[index])}
         if not tried:
             return chosen

@@ -26,6 +26,7 @@ from gtcal.estimation.observations import Observations, Views
 from gtcal.estimation.options import CalibrationOptions
 from gtcal.estimation.residuals import select_views
 from gtcal.recordings.detections import IntArray
+from gtcal.recordings.trajectory import Trajectory
 from gtcal.results.calibration import Calibration, PoseEstimate, Segment
 from gtcal.results.covariance import NAIVE, JointCovariance
 from gtcal.results.effect_finding import EffectFinding
@@ -157,17 +158,18 @@ def _put_right(observations: Observations, slips: _Slips) -> Observations:
     if not slips.changes:
         return observations
     motion = observations.motion
-    bodies = {
-        name: replace(
-            body, world_T_body=np.ascontiguousarray(body.world_T_body @ inverse(slips.at(name, body.stamps_ns)))
-        )
-        for name, body in motion.trajectories.items()
-    }
+    bodies = {name: _body_put_right(name, body, slips) for name, body in motion.trajectories.items()}
+    right = replace(motion, platform=bodies.get("platform"), board_body=bodies.get("board_body"))
     return replace(
         observations,
-        motion=replace(motion, **bodies),
+        motion=right,
         views={name: _views_put_right(views, slips) for name, views in observations.views.items()},
     )
+
+
+def _body_put_right(name: str, body: Trajectory, slips: _Slips) -> Trajectory:
+    world_T_body = body.world_T_body @ inverse(slips.at(name, body.stamps_ns))
+    return replace(body, world_T_body=np.ascontiguousarray(world_T_body))
 
 
 def _views_put_right(views: Views, slips: _Slips) -> Views:
