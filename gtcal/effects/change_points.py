@@ -20,6 +20,7 @@ from gtcal.effects.effect import length
 from gtcal.effects.evidence import Sums
 from gtcal.effects.frames import Frames
 from gtcal.recordings.capture import Capture
+from gtcal.recordings.detections import IntArray
 from gtcal.results.effect_finding import Moment, Quantity
 
 MOST_CHANGES = 6
@@ -172,7 +173,7 @@ class _Search:
     def solved(self, changes: Sequence[ChangePoint]) -> FloatArray:
         """(U,) the unknowns, then the changes, each with its lens."""
         H, g = self.base(changes)
-        return -np.linalg.solve(_regular(H), g)
+        return np.asarray(-np.linalg.solve(_regular(H), g), dtype=np.float64)
 
     def scan(self, part: Part, changes: Sequence[ChangePoint]) -> FloatArray:
         """(n,) by how much the weighted squares fall if the part moves at each frame; 0 where too few show it."""
@@ -196,7 +197,7 @@ class _Search:
     def allowed(self, part: Part) -> BoolArray:
         """(n,) whether the part may move just before each frame: it and enough others, before and after, show it."""
         shown = np.cumsum(part.frames)
-        before = shown - part.frames
+        before: IntArray = shown - part.frames.astype(np.int64)
         return np.asarray(part.frames & (before >= FEWEST_FRAMES) & (shown[-1] - before >= FEWEST_FRAMES))
 
     def _apart(self, part: Part, changes: Sequence[ChangePoint]) -> BoolArray:

@@ -67,15 +67,16 @@ class Sums:
             information,
         )
 
-    def evidence(self, effect: int, given: Sequence[int] = ()) -> Evidence:
-        """Of an effect, with those ``given`` let in too."""
+    def evidence(self, effect: int, given: Sequence[int] = (), *, from_stated: bool = False) -> Evidence:
+        """Of an effect, with those ``given`` let in too. from_stated: the moves are those from the calibration's own
+        estimate, which screened views, and not from what these frames say without the effect."""
         base = np.concatenate([np.arange(len(self.frames.free)), *(self.columns[g] for g in given)])
         chosen = np.concatenate([base, self.columns[effect]])
         k = len(self.columns[effect])
         without, (solved, model, sandwich) = self.solution(base)[0], self.solution(chosen)
         estimate, model, sandwich = solved[-k:], model[-k:, -k:], sandwich[-k:, -k:]
         p_value = max(_p_of_model(estimate, model), _p_of_scatter(estimate, sandwich, len(self.noisy)))
-        moved = solved[: len(self.frames.free)] - without[: len(self.frames.free)]
+        moved = solved - (0.0 if from_stated else np.pad(without, (0, k)))
         return Evidence(
             estimate,
             _larger(model, sandwich),

@@ -75,7 +75,7 @@ def _found(
         return (), ()
     frames, changes = find_changes(frames, level=0.5 * FALSE_ALARMS)
     lasting = (*lasting_effects(frames, options), *more)
-    effects = (*changes, *map(LensAfter, changes), *lasting)
+    effects: list[Effect] = [*changes, *map(LensAfter, changes), *lasting]
     tests = {index: 2.0 * change.tests for index, change in enumerate(changes)}
     tests |= {index: 2.0 * len(lasting) for index in range(2 * len(changes), len(effects))}
     sums = Sums.of(frames, effects)
@@ -84,7 +84,8 @@ def _found(
     for index, count in tests.items():
         is_change = index < len(changes)
         given = others_of(index, len(changes)) if is_change else [other for other in let_in if other != index]
-        found.append(_finding(effects[index], sums.evidence(index, given), calibration.estimate, count))
+        evidence = sums.evidence(index, given, from_stated=is_change)
+        found.append(_finding(effects[index], evidence, calibration.estimate, count))
     found = [finding for finding in found if finding.is_finite]
     return tuple(sorted(found, key=lambda finding: (not finding.significant, -finding.largest_move_mm))), changes
 
