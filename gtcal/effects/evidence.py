@@ -8,7 +8,7 @@ and by how the stretches really scatter (a sandwich; Hotelling's T^2), which nee
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import pairwise
 
 import numpy as np
@@ -50,6 +50,7 @@ class Sums:
     exact: FloatArray
     columns: tuple[IntArray, ...]
     information: FloatArray
+    known: dict[tuple[int, ...], tuple[FloatArray, float]] = field(default_factory=dict, compare=False, repr=False)
 
     @staticmethod
     def of(frames: Frames, effects: Sequence[Effect]) -> Sums:
@@ -73,7 +74,8 @@ class Sums:
         base = np.concatenate([np.arange(len(self.frames.free)), *(self.columns[g] for g in given)])
         chosen = np.concatenate([base, self.columns[effect]])
         k = len(self.columns[effect])
-        without, (solved, model, sandwich) = self.solution(base)[0], self.solution(chosen)
+        without, hold_out_px = self._without(tuple(base))
+        solved, model, sandwich = self.solution(chosen)
         estimate, model, sandwich = solved[-k:], model[-k:, -k:], sandwich[-k:, -k:]
         p_value = max(_p_of_model(estimate, model), _p_of_scatter(estimate, sandwich, len(self.noisy)))
         moved = solved - (0.0 if from_stated else np.pad(without, (0, k)))
@@ -82,9 +84,18 @@ class Sums:
             _larger(model, sandwich),
             p_value,
             _square(estimate, model) - k * float(np.log(len(self.frames.stamps_ns))),
-            self._hold_out_px(base) - self._hold_out_px(chosen),
+            hold_out_px - self._hold_out_px(chosen),
             {name: moved[6 + 6 * c : 12 + 6 * c] for c, name in enumerate(self.frames.cameras)},
         )
+
+    def _without(self, base: tuple[int, ...]) -> tuple[FloatArray, float]:
+        """The unknowns ``base`` and their hold-out error: once for all effects that are tried on top of them."""
+        if base not in self.known:
+            chosen = np.array(base, dtype=np.int64)
+            parts, prior = self.noisy[:, chosen].sum(axis=0), self.information[chosen]
+            covariance = _inverse(parts[:, chosen] + prior[:, chosen])
+            self.known[base] = -covariance @ (parts[:, -1] + prior[:, -1]), self._hold_out_px(chosen)
+        return self.known[base]
 
     def solution(self, chosen: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """The unknowns ``chosen`` (u,), with their covariances (u, u) by the model and by the scatter."""

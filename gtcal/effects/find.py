@@ -8,12 +8,13 @@ from dataclasses import replace
 import numpy as np
 
 from gtcal.camera import FloatArray
+from gtcal.effects.board import BoardShape, Scale
 from gtcal.effects.change_points import ChangePoint, LensAfter, find_changes, others_of
 from gtcal.effects.effect import Effect
 from gtcal.effects.evidence import Evidence, Sums
 from gtcal.effects.frames import Frames
 from gtcal.effects.lenses import lens_effects
-from gtcal.effects.scales import Scale
+from gtcal.effects.shapes import SHAPES
 from gtcal.effects.timing import BodyLag, ClockDrift, ClockOffset, moves
 from gtcal.estimation.estimate import Estimate
 from gtcal.estimation.mocap_noise import MocapNoiseModel
@@ -124,7 +125,7 @@ def noise_model(noise: MocapNoise) -> MocapNoiseModel:
 
 def lasting_effects(frames: Frames, options: CalibrationOptions) -> list[Effect]:
     """Those that hold all the time and that the options leave out."""
-    effects: list[Effect] = [Scale()]
+    effects: list[Effect] = [Scale(), *(BoardShape(index) for index in range(len(SHAPES)))]
     if moves(frames):
         effects += [] if options.clock in ("estimate", "per_camera") else [ClockOffset()]
         effects += [] if options.clock_drift else [ClockDrift()]

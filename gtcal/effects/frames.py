@@ -9,6 +9,7 @@ import numpy as np
 
 from gtcal.camera import BoolArray, FloatArray
 from gtcal.effects.isolated import without_isolated
+from gtcal.effects.shapes import with_shapes
 from gtcal.estimation.errors_in_variables import prior_information
 from gtcal.estimation.estimate import Estimate
 from gtcal.estimation.frame_statistics import FrameMoments, frame_moments, frames_of
@@ -28,8 +29,8 @@ _FEWEST_OF_A_CLUSTER = 3
 
 @dataclass(frozen=True)
 class Frames:
-    """The frames' moments at an estimate, in the tangents of A_f, X, each Y_c, each theta_c, then the residual: D
-    columns.
+    """The frames' moments at an estimate, in the tangents of A_f, X, each Y_c, each theta_c, by the board's
+    shapes, then the residual: D columns.
 
     moments: (n, D, D) with the mocap exact. marginal: (n, D, D) with its noise integrated out, frame by frame: a
         quadratic form of the columns that holds for whatever is a linear image of them, A_f's too.
@@ -109,12 +110,14 @@ class Frames:
             return None
         frames = _chosen(views)
         raw = frame_moments(views, estimate, sigma_px=1.0, free_theta=True, frames=frames)
+        n_theta = raw.moments.shape[1] - 1
+        raw = with_shapes(raw, views, estimate)
         raw = raw.whitened_by(options.sigma_px or max(raw.pixel_sigma_px, 1e-6))
         cluster = _clusters(len(frames))
         if cluster[-1] < 9:
             return None
         n_free = 6 + 6 * len(views)
-        free = np.arange(6, raw.moments.shape[1] - 1 if options.refine_intrinsics else 6 + n_free)
+        free = np.arange(6, n_theta if options.refine_intrinsics else 6 + n_free)
         return Frames(
             views=views,
             motion=observations.motion,

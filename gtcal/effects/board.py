@@ -1,4 +1,4 @@
-"""Scale: the board's size against the mocap's lengths."""
+"""The board: its size against the mocap's lengths, and its shape."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import numpy as np
 from gtcal.camera import FloatArray
 from gtcal.effects.effect import single
 from gtcal.effects.frames import Frames
+from gtcal.effects.shapes import SHAPES
 from gtcal.results.effect_finding import Moment, Quantity
 
 
@@ -37,3 +38,28 @@ class Scale:
 
     def quantities(self, estimate: FloatArray, covariance: FloatArray) -> tuple[Quantity, ...]:
         return single(estimate, covariance, 100.0, "%")
+
+
+@dataclass(frozen=True)
+class BoardShape:
+    """One of ``SHAPES``, by its place."""
+
+    index: int
+    advice: str = "measure the printed board, and mount it on something flat and stiff"
+    moment: Moment | None = None
+
+    @property
+    def name(self) -> str:
+        return SHAPES[self.index].name
+
+    @property
+    def what(self) -> str:
+        return SHAPES[self.index].what
+
+    def columns(self, frames: Frames) -> FloatArray:
+        columns = np.zeros((len(frames.stamps_ns), frames.n_columns, 1))
+        columns[:, frames.n_columns - len(SHAPES) + self.index] = 1.0
+        return columns
+
+    def quantities(self, estimate: FloatArray, covariance: FloatArray) -> tuple[Quantity, ...]:
+        return single(estimate, covariance, SHAPES[self.index].scale, SHAPES[self.index].unit)
