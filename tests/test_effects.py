@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,6 +14,7 @@ from calibration_support import simulated
 from scipy.spatial.transform import Rotation
 
 from factors.rigid import inverse
+from gtcal.cli.tables import print_calibration
 from gtcal.effects.effect import length
 from gtcal.effects.evidence import Sums
 from gtcal.effects.find import FALSE_ALARMS, effect_warnings, find_effects, frames_of
@@ -22,7 +25,10 @@ from gtcal.estimation.options import CalibrationOptions
 from gtcal.estimation.solver import calibrate_observations
 from gtcal.recordings.capture import Capture
 from gtcal.recordings.recording import Recording
+from gtcal.report import render
+from gtcal.report.calibration_part import calibration_part
 from gtcal.results.calibration import Calibration, pose_difference
+from gtcal.results.calibration_file import read_calibration, write_calibration
 from gtcal.results.effect_finding import EffectFinding, Quantity
 from gtcal.simulation import MocapNoise
 from gtcal.workflow import calibrate
@@ -256,6 +262,19 @@ def test_a_clock_is_asked_only_where_something_moves() -> None:
     assert offset.value == pytest.approx(-4.0, abs=max(5.0 * offset.sigma, 0.2))
 
 
+def test_a_clock_is_never_asked_where_poses_are_known_at_the_images_alone() -> None:
+    """An arm that stops for each image: what it does between is not known."""
+    given = recording()
+    stops_ns = np.unique(np.concatenate([found.stamps_ns for found in given.detections.values()]))
+    bodies = {
+        name: replace(body, stamps_ns=stops_ns, world_T_body=body.interpolate(stops_ns, 0.2).world_T_body)
+        for name, body in given.motion.trajectories.items()
+    }
+    names = [finding.name for finding in calibrate(replace(given, **bodies)).effects]
+    assert "scale" in names
+    assert not {"clock offset", "clock drift", "platform lag"} & set(names)
+
+
 def test_no_effects_where_the_mocap_is_exact_or_none_are_asked_for() -> None:
     given = recording()
     assert calibrate(given, CalibrationOptions(mocap="exact")).effects == ()
@@ -304,3 +323,29 @@ def test_effects_of_ones_own_need_a_few_lines() -> None:
 def test_quantities_show_two_digits_of_their_sigma() -> None:
     assert Quantity("by", 5.0384, 0.0291, "mm").text == "5.038 mm ± 0.029"
     assert Quantity("", -12.0, 3.1, "us/s").text == "-12.0 us/s ± 3.1"
+
+
+def test_effects_and_stretches_survive_the_file(tmp_path: Path) -> None:
+    found = calibrate(slip("platform", 5.0, 0.5)(recording()), CalibrationOptions(segments="auto"))
+    write_calibration(tmp_path / "calibration.json", found)
+    read = read_calibration(tmp_path / "calibration.json")
+    assert read.effects == found.effects
+    for again, segment in zip(read.segments, found.segments, strict=True):
+        assert (again.start_s, again.end_s, again.moved) == (segment.start_s, segment.end_s, segment.moved)
+        for name, pose in segment.camera_T_ref.items():
+            assert np.array_equal(again.camera_T_ref[name].a_T_b, pose.a_T_b)
+            assert np.array_equal(again.camera_T_ref[name].covariance, pose.covariance)
+    print_calibration(read)
+    part = calibration_part(read, None)
+    assert [row.moved for row in part.segments] == ["", "platform"]
+    assert part.effects[0].significant
+    assert "What else the data want" in render(found)
+
+
+def test_files_from_before_effects_are_read(tmp_path: Path) -> None:
+    path = tmp_path / "calibration.json"
+    write_calibration(path, clean())
+    document = json.loads(path.read_text())
+    del document["effects"], document["segments"]
+    path.write_text(json.dumps(document))
+    assert read_calibration(path).effects == ()

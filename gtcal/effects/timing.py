@@ -20,8 +20,14 @@ SLOWEST_M_PER_S, SLOWEST_RAD_PER_S = 0.02, np.deg2rad(2.0)
 """A body slower than this, typically, tells nothing of time: an arm that stops for each image."""
 
 
+COARSEST_S = 0.2
+"""Poses further apart do not say how fast a body was at any of them: it may have stopped for each."""
+
+
 def moves(frames: Frames) -> bool:
-    """Whether the board moves, as the cameras see it, while images are taken."""
+    """Whether the board is known to move, as the cameras see it, while images are taken."""
+    if max(trajectory.median_interval_s for trajectory in frames.motion.trajectories.values()) > COARSEST_S:
+        return False
     twist = parabolas(frames.motion, frames.stamps_ns)[:, 0]
     turn, shift = (np.median(np.linalg.norm(part, axis=1)) for part in (twist[:, :3], twist[:, 3:]))
     return bool(shift > SLOWEST_M_PER_S or turn > SLOWEST_RAD_PER_S)
