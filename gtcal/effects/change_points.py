@@ -257,10 +257,10 @@ def find_changes(frames: Frames, *, level: float) -> tuple[Frames, tuple[ChangeP
         found = _grown(search, found, level)
         if not found or _where(found) == before:
             break
-        noise = frames.noise_left(_shift(search, found))
-        if noise is None:
+        again = frames.shifted_noise(_shift(search, found))
+        if again is None:
             break
-        frames = frames.with_noise(noise)
+        frames = again
     return frames, found
 
 

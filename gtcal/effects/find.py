@@ -12,12 +12,12 @@ from gtcal.effects.board import BoardShape, Scale
 from gtcal.effects.change_points import ChangePoint, LensAfter, find_changes, others_of
 from gtcal.effects.effect import Effect
 from gtcal.effects.evidence import Evidence, Sums
-from gtcal.effects.frames import Frames
+from gtcal.effects.frames import Frames, lag_of
 from gtcal.effects.lenses import lens_effects
 from gtcal.effects.shapes import SHAPES
 from gtcal.effects.timing import BodyLag, ClockDrift, ClockOffset, moves
 from gtcal.estimation.estimate import Estimate
-from gtcal.estimation.mocap_noise import MocapNoiseModel
+from gtcal.estimation.mocap_noise import MocapNoiseModel, Whiteness
 from gtcal.estimation.observations import Observations
 from gtcal.estimation.options import CalibrationOptions, MocapSigmas
 from gtcal.results.calibration import Calibration, MocapNoise, PoseEstimate
@@ -95,7 +95,9 @@ def frames_of(calibration: Calibration, observations: Observations, options: Cal
     """What effects are looked for in; None where the mocap's noise is not known, or the frames are too few."""
     if calibration.mocap_noise is None:
         return None
-    return Frames.of(observations, calibration.estimate, noise_model(calibration.mocap_noise), options)
+    noise = calibration.mocap_noise
+    lag_1 = lag_of(Whiteness(noise.innovation_variance, noise.lag_1, noise.lag_1_sigma))
+    return Frames.of(observations, calibration.estimate, noise_model(noise), options, lag_1)
 
 
 def _let_in(sums: Sums, tests: Mapping[int, float], given: Sequence[int]) -> list[int]:

@@ -13,7 +13,7 @@ from gtcal.effects.shapes import with_shapes
 from gtcal.estimation.errors_in_variables import prior_information
 from gtcal.estimation.estimate import Estimate
 from gtcal.estimation.frame_statistics import FrameMoments, frame_moments, frames_of
-from gtcal.estimation.mocap_noise import MocapNoiseModel, estimate_noise, spread_blocks
+from gtcal.estimation.mocap_noise import MocapNoiseModel, Whiteness, estimate_noise, innovations, spread_blocks
 from gtcal.estimation.observations import Observations, Views
 from gtcal.estimation.options import CalibrationOptions
 from gtcal.recordings.capture import RefMotion
@@ -25,6 +25,7 @@ MOST_NUMBERS = 2e7
 _FEWEST_FRAMES, _MOST_FRAMES = 200, 2000
 _CLUSTERS = 24
 _FEWEST_OF_A_CLUSTER = 3
+_LARGEST_LAG = 0.5  # more is no noise, but what is looked for
 
 
 @dataclass(frozen=True)
@@ -83,13 +84,9 @@ class Frames:
         """Since the recording's first image."""
         return np.asarray(1e-9 * (stamps_ns - self.start_ns), dtype=np.float64)
 
-    def with_noise(self, noise: MocapNoiseModel) -> Frames:
-        """The same with another noise integrated out."""
-        return replace(self, noise=noise, marginal=_marginal(self.of_frames, noise, self.motion))
-
-    def noise_left(self, shift: FloatArray) -> MocapNoiseModel | None:
-        """The mocap's noise that the frames show once their tangents are shifted by (n, D - 1); None as of
-        ``estimate_noise``."""
+    def shifted_noise(self, shift: FloatArray) -> Frames | None:
+        """The same with the noise integrated out that the frames show once their tangents are shifted by (n, D - 1);
+        None where it can't be told, as of ``estimate_noise``."""
         moved = self.moments.copy()
         change = np.einsum("fij,fj->fi", self.moments[:, :, :-1], shift)
         moved[:, :, -1] += change
@@ -98,13 +95,22 @@ class Frames:
         kept = np.concatenate([np.arange(6), self.free, [self.n_columns]])
         rows = spread_blocks(np.arange(len(moved)))
         chosen = replace(self.of_frames, moments=moved[:, kept][:, :, kept]).take(rows)
-        return estimate_noise(chosen, self.motion, self.information)
+        noise = estimate_noise(chosen, self.motion, self.information)
+        if noise is None:
+            return None
+        lag_1 = lag_of(Whiteness.of(innovations(chosen, noise, self.motion)))
+        return replace(self, noise=noise, marginal=_marginal(self.of_frames, noise, self.motion, lag_1))
 
     @staticmethod
     def of(
-        observations: Observations, estimate: Estimate, noise: MocapNoiseModel, options: CalibrationOptions
+        observations: Observations,
+        estimate: Estimate,
+        noise: MocapNoiseModel,
+        options: CalibrationOptions,
+        lag_1: float = 0.0,
     ) -> Frames | None:
-        """Of all views but isolated gross ones; None where these leave too few."""
+        """Of all views but isolated gross ones; None where these leave too few. lag_1: correlation of the noise from
+        frame to frame that its model misses."""
         views = without_isolated(observations.views, estimate)
         if any(of_camera.n_views == 0 for of_camera in views.values()):
             return None
@@ -125,7 +131,7 @@ class Frames:
             stamps_ns=raw.stamps_ns,
             start_ns=int(observations.frame_stamps_ns[0]),
             moments=raw.moments,
-            marginal=_marginal(raw, noise, observations.motion),
+            marginal=_marginal(raw, noise, observations.motion, lag_1),
             sigma_px=raw.sigma_px,
             n_corners=_n_corners(views, frames),
             free=free,
@@ -157,10 +163,15 @@ def _clusters(n: int) -> IntArray:
     return np.arange(n) * count // n
 
 
-def _marginal(frames: FrameMoments, noise: MocapNoiseModel, motion: RefMotion) -> FloatArray:
+def lag_of(whiteness: Whiteness) -> float:
+    """The correlation from frame to frame that a model misses, one sigma of chance allowed for."""
+    return float(np.clip(whiteness.lag_1 + whiteness.lag_1_sigma, 0.0, _LARGEST_LAG))
+
+
+def _marginal(frames: FrameMoments, noise: MocapNoiseModel, motion: RefMotion, lag_1: float) -> FloatArray:
     """(n, D, D) with the noise integrated out of each frame by itself. What lasts, as effects do, sees noise that is
     correlated in time as white noise of its long-run variance, (1 + rho) / (1 - rho) times as large."""
-    M, rho = frames.moments, _typical_correlation(noise, frames.stamps_ns)
+    M, rho = frames.moments, max(_typical_correlation(noise, frames.stamps_ns), lag_1)
     covariance = (1.0 + rho) / (1.0 - rho) * noise.covariance(motion, frames.stamps_ns)
     gain = np.linalg.solve(M[:, :6, :6] + np.linalg.inv(covariance), M[:, :6])
     return np.asarray(M - np.swapaxes(M[:, :6], 1, 2) @ gain)
