@@ -12,6 +12,8 @@ from gtcal.camera import Camera
 from gtcal.clock.find import tested, with_clock, with_stated_readouts
 from gtcal.detection.detect import cached_detect
 from gtcal.doctor.hint import likely_mistake, looks_wrong
+from gtcal.effects.find import with_effects
+from gtcal.effects.segments import in_segments
 from gtcal.errors import GtcalError
 from gtcal.estimation.intrinsics import calibrate_intrinsics
 from gtcal.estimation.observations import Observations, synchronise
@@ -44,7 +46,19 @@ def calibrate(
     if recording.path is not None and looks_wrong(calibration):
         warning = f"this does not look like a good calibration; {_doctor(recording)} may tell why"
         calibration = replace(calibration, warnings=(*calibration.warnings, warning))
-    return tested(calibration, as_stamped, options) if options.clock == "test" else replace(calibration, clock=clock)
+    calibration = (
+        tested(calibration, as_stamped, options) if options.clock == "test" else replace(calibration, clock=clock)
+    )
+    if options.segments == "auto":
+        return in_segments(
+            calibration,
+            observations,
+            options,
+            lambda views: calibrate_observations(
+                views, options, progress=progress, inputs=recording.inputs, earlier=reports
+            ),
+        )
+    return with_effects(calibration, observations, options) if options.effects else calibration
 
 
 def _doctor(recording: Recording) -> str:

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import study_coverage
+import study_effects
 import study_kernels
 import study_priors
 import table1_benchmark
@@ -91,3 +92,18 @@ def test_table_2(variant: table2_ablation.Variant) -> None:
     if 1 in variant.stages:
         assert all(outcome.right for outcome in found)
     assert table2_ablation.table_of(iter([(variant, found)]), 2).row_count == 1
+
+
+def test_effects() -> None:
+    cases = [
+        ("board's markers move", 2.0),
+        ("a camera turns", 0.2),
+        ("clock drift", 100.0),
+        ("scale", 0.3),
+        (None, 0.0),
+    ]
+    found = {case: [study_effects.outcome(study_effects.Run(*case, 50_002))] for case in cases}
+    assert [one.found for (one,) in found.values()] == [True, True, True, True, False]
+    assert all(abs(one.deviation) < 5.0 for (one,) in found.values() if one.found)
+    assert found[None, 0.0][0].others == ()
+    assert study_effects.table_of(found).row_count == len(cases)

@@ -52,6 +52,8 @@ def calibrate(
     mocap_sigma_deg: float | None = None,
     clock: Literal["test", "estimate", "per_camera", "trust"] = "test",
     clock_drift: bool = False,
+    effects: bool = True,
+    segments: Literal["none", "auto"] = "none",
     stages: tuple[int, ...] = (1, 2, 3),
     eps: float = 1e-4,
     max_iterations: int = 100,
@@ -106,6 +108,10 @@ def calibrate(
             'estimate': find one offset between all cameras and the mocap, up to half a second, and correct it;
             'per_camera': one for each. 'trust': do not even test.
         clock_drift: With --clock estimate: let the offset grow linearly in time.
+        effects: Look for what else the data want (markers or a camera that moved, a clock, a lens or a scale that is
+            off), and how far each camera would move if that were let in.
+        segments: 'auto': where markers or a camera moved during the recording, calibrate each stretch between on its
+            own, all that did not move shared.
         stages: Stages to run, of 1 (Procrustes sweep), 2 (3-D alignment), 3 (pixels).
         eps: A minimisation stops where an iteration improves the error E by less than eps (1 + E).
         max_iterations: Most iterations of one minimisation.
@@ -138,6 +144,8 @@ def calibrate(
         mocap=_mocap(mocap_sigma_mm, mocap_sigma_deg) or mocap_noise,
         clock=clock,
         clock_drift=clock_drift,
+        effects=effects,
+        segments=segments,
         stages=stages,
         eps=eps,
         max_iterations=max_iterations,

@@ -15,6 +15,7 @@ from gtcal.camera import FloatArray
 from gtcal.recordings.recording import Recording
 from gtcal.results.calibration import Calibration, StageReport, pose_difference
 from gtcal.results.covariance import CLUSTERED, ERRORS_IN_VARIABLES, NAIVE
+from gtcal.results.effect_finding import EffectFinding
 from gtcal.simulation import GroundTruth
 from gtcal.uncertainty.coverage import coverage
 
@@ -26,10 +27,13 @@ _COVARIANCES = {
 
 
 def print_calibration(calibration: Calibration, *, notes: Sequence[str] = (), verbose: bool = False) -> None:
-    """Print fit, poses and warnings; ``verbose`` adds the stages and what was left out and why."""
+    """Print fit, poses and warnings; ``verbose`` adds the stages, what was left out and why, and
+    the effects that the data do not want."""
     parts: list[RenderableType] = [fit_table(calibration), pose_table(calibration)]
     if verbose:
         parts += [stage_table(calibration.stages), *_dropped_lines(calibration), *_lacking_lines(calibration)]
+    shown = [finding for finding in calibration.effects if finding.significant or verbose]
+    parts += [effect_table(shown)] if shown else []
     if calibration.mocap_noise is not None:
         parts.append(Text(f"stage {calibration.mocap_noise.stage} taken: {calibration.mocap_noise.reason}"))
     if calibration.clock is not None and calibration.clock.corrected:
@@ -64,6 +68,28 @@ def pose_table(calibration: Calibration) -> Table:
     pose = calibration.body_T_board
     sigmas = _largest(pose.position_of_b_in_a_sigma_mm, 3), _largest(pose.rotation_sigma_deg, 4)
     table.add_row("board", _vector(1e3 * pose.a_T_b[:3, 3]), "body", *sigmas)
+    return table
+
+
+def effect_table(findings: Sequence[EffectFinding]) -> Table:
+    """A row per effect that the model leaves out, those that move a camera most first."""
+    table = new_table(
+        "what else the data want",
+        caption="chance: allowing for all that was tried; hold-out: by how much the error of unseen frames falls; "
+        "cameras: how far they would move, at most",
+    )
+    for heading in ("size", "when, s", "chance", "hold-out, px", "cameras, mm", "deg"):
+        table.add_column(heading, justify="left" if heading == "size" else "right")
+    for finding in findings:
+        table.add_row(
+            finding.name,
+            finding.size,
+            f"{finding.moment.at_s:.2f}" if finding.moment else "",
+            f"{finding.p_value:.1g}",
+            f"{finding.hold_out_drop_px:+.4f}",
+            f"{finding.largest_move_mm:.3f}",
+            f"{finding.largest_move_deg:.4f}",
+        )
     return table
 
 

@@ -124,7 +124,7 @@ class NoiseBases:
         ref_T_body = motion.at(stamps_ns).ref_T_body
         translation, rotation, jitter = {}, {}, np.zeros((len(stamps_ns), 6, 6))
         for name, trajectory in motion.trajectories.items():
-            to_board = np.eye(6)[None] if name == "board_body" else _adjoint(inverse(ref_T_body))
+            to_board = np.eye(6)[None] if name == "board_body" else adjoint(inverse(ref_T_body))
             twist = np.nan_to_num(trajectory.twist_per_s(stamps_ns))
             moved = (to_board @ twist[:, :, None])[:, :, 0]
             share = trajectory.interpolated_variance(stamps_ns, 0.0)
@@ -149,7 +149,7 @@ class NoiseBases:
         return self.motion.trajectories[body].interpolated_variance(self.stamps_ns, correlation_s)
 
 
-def _adjoint(a_T_b: FloatArray) -> FloatArray:
+def adjoint(a_T_b: FloatArray) -> FloatArray:
     """Ad(a_T_b), (N, 6, 6)."""
     R, (x, y, z) = a_T_b[:, :3, :3], a_T_b[:, :3, 3].T
     zero = np.zeros_like(x)

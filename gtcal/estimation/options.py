@@ -22,6 +22,10 @@ IntrinsicsPrior = Literal["weak", "stated"]
 
 MocapMode = Literal["estimate", "exact"]
 
+SegmentsMode = Literal["none", "auto"]
+"""none: one set of poses for the whole recording. auto: where markers or a camera moved during it, one for each stretch
+between the changes, all that did not move shared."""
+
 ClockMode = Literal["test", "estimate", "per_camera", "trust"]
 """test: the stamps are taken as they are, and a warning says what offset the data want. estimate: one offset between
 all cameras and the mocap is found and corrected. per_camera: one for each. trust: the stamps are taken as they are."""
@@ -68,6 +72,8 @@ class CalibrationOptions:
         ``robust`` (graduated non-convexity: Yang et al. 2020; with GemanMcClure it is theirs). For data with so many
         outliers that screening by medians fails; a redescending kernel is needed, and ``screen`` may be off.
 
+    effects: look for what the model leaves out (a slip of markers, a bumped camera, a clock, a lens, a scale).
+    segments: see ``SegmentsMode``; 'auto' needs ``effects``, which find the changes.
     clock: see ``ClockMode``. clock_drift: where the offset is estimated, let it grow linearly in time.
 
     Raises GtcalError for a choice that makes no sense."""
@@ -91,16 +97,28 @@ class CalibrationOptions:
     graduated: bool = False
     clock: ClockMode = "test"
     clock_drift: bool = False
+    effects: bool = True
+    segments: SegmentsMode = "none"
 
     def __post_init__(self) -> None:
         if not self.stages or not set(self.stages) <= {1, 2, 3} or list(self.stages) != sorted(set(self.stages)):
             raise GtcalError(f"stages: {self.stages} is not a choice of 1, 2 and 3 in their order")
-        modes = {"intrinsics": IntrinsicsMode, "intrinsics_prior": IntrinsicsPrior, "clock": ClockMode}
+        modes = {
+            "intrinsics": IntrinsicsMode,
+            "intrinsics_prior": IntrinsicsPrior,
+            "clock": ClockMode,
+            "segments": SegmentsMode,
+        }
         if not isinstance(self.mocap, MocapSigmas):
             modes["mocap"] = MocapMode
         for name, mode in modes.items():
             if getattr(self, name) not in get_args(mode):
                 raise GtcalError(f"{name}: {getattr(self, name)!r} is none of {', '.join(get_args(mode))}")
+        if self.segments == "auto" and not (self.effects and 3 in self.stages and self.mocap != "exact"):
+            raise GtcalError(
+                "segments are found among the effects, in what the mocap's noise does not explain: they need stage 3, "
+                "effects, and a mocap that is not exact"
+            )
         if self.intrinsics == "refine" and 3 not in self.stages:
             raise GtcalError("intrinsics are refined in stage 3, but stages leave it out")
         if isinstance(self.mocap, MocapSigmas) and 3 not in self.stages:

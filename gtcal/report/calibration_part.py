@@ -13,8 +13,9 @@ from gtcal.report.pictures import CAMERA_COLOURS, Picture
 from gtcal.report.residual_figures import covered_share, residual_pictures
 from gtcal.report.scene import BODY_NAMES, REF_NAMES, Scene, build_scene
 from gtcal.report.uncertainty_part import UncertaintyPart, uncertainty_part
-from gtcal.results.calibration import Calibration, CameraCalibration, PoseEstimate
+from gtcal.results.calibration import Calibration, CameraCalibration, PoseEstimate, Segment
 from gtcal.results.covariance import CLUSTERED, ERRORS_IN_VARIABLES, NAIVE
+from gtcal.results.effect_finding import EffectFinding
 from gtcal.verification.verification import Verification
 
 MOST_DETAILED_CAMERAS = 12
@@ -90,6 +91,29 @@ class CameraDetails:
 
 
 @dataclass(frozen=True)
+class EffectRow:
+    """An effect that the model leaves out, each cell as text. moves: of each camera. significant: no chance."""
+
+    name: str
+    size: str
+    when_s: str
+    chance: str
+    hold_out_px: str
+    moves: str
+    significant: bool
+
+
+@dataclass(frozen=True)
+class SegmentRow:
+    """A stretch between changes, each cell as text."""
+
+    seconds: str
+    moved: str
+    board_mm: str
+    cameras_mm: str
+
+
+@dataclass(frozen=True)
 class CalibrationPart:
     """All that the page says of a calibration."""
 
@@ -106,6 +130,8 @@ class CalibrationPart:
     ref: str
     scene: Scene
     uncertainty: UncertaintyPart | None
+    effects: tuple[EffectRow, ...]
+    segments: tuple[SegmentRow, ...]
 
 
 def calibration_part(
@@ -137,6 +163,31 @@ def calibration_part(
         ref=REF_NAMES[calibration.capture],
         scene=build_scene(calibration, evidence, colours, verification),
         uncertainty=uncertainty_part(calibration, evidence, cameras=_worst(calibration)),
+        effects=tuple(_effect(finding) for finding in calibration.effects),
+        segments=tuple(_segment(segment) for segment in calibration.segments),
+    )
+
+
+def _effect(finding: EffectFinding) -> EffectRow:
+    moves = (f"{name} {mm:.3f} mm, {finding.moves_deg[name]:.4f}°" for name, mm in finding.moves_mm.items())
+    return EffectRow(
+        name=finding.name,
+        size=finding.size,
+        when_s=finding.moment.text if finding.moment else "",
+        chance=f"{finding.p_value:.1g}",
+        hold_out_px=f"{finding.hold_out_drop_px:+.4f}",
+        moves="; ".join(moves),
+        significant=finding.significant,
+    )
+
+
+def _segment(segment: Segment) -> SegmentRow:
+    cameras = (f"{name} {_vector(1e3 * pose.position_of_a_in_b_m, 2)}" for name, pose in segment.camera_T_ref.items())
+    return SegmentRow(
+        seconds=f"{segment.start_s:.2f} to {segment.end_s:.2f}",
+        moved=segment.moved,
+        board_mm=_vector(1e3 * segment.body_T_board.a_T_b[:3, 3], 2),
+        cameras_mm="; ".join(cameras),
     )
 
 

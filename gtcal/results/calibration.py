@@ -16,6 +16,7 @@ from gtcal.files import InputFile
 from gtcal.recordings.capture import Capture
 from gtcal.recordings.detections import IntArray
 from gtcal.results.covariance import JointCovariance
+from gtcal.results.effect_finding import EffectFinding
 
 
 @dataclass(frozen=True)
@@ -240,6 +241,21 @@ class Solution:
 
 
 @dataclass(frozen=True)
+class Segment:
+    """A stretch of a recording during which something moved.
+
+    start_s, end_s: in s from the first image. moved: what moved at its start ('platform', 'board_body' or a camera);
+        empty for the first.
+    body_T_board, camera_T_ref: as of a ``Calibration``, in the bodies' frames as their markers then were."""
+
+    start_s: float
+    end_s: float
+    moved: str
+    body_T_board: PoseEstimate
+    camera_T_ref: dict[str, PoseEstimate]
+
+
+@dataclass(frozen=True)
 class Calibration:
     """The result of ``calibrate``.
 
@@ -251,6 +267,10 @@ class Calibration:
     mocap_noise: None where it was not modelled.
     clock: None where it was neither estimated nor tested, or the motion does not tell.
     warnings: what the operator should know, a line each.
+    effects: what the model leaves out and the data were asked about: first those that are no chance, by how far they
+        would move a camera.
+    segments: where it was calibrated in stretches between changes, those, in order of time; cameras and body_T_board
+        are those of the first.
     solution: None where the calibration was read from a file."""
 
     capture: Capture
@@ -267,6 +287,8 @@ class Calibration:
     warnings: tuple[str, ...]
     provenance: Provenance
     clock: Clock | None = None
+    effects: tuple[EffectFinding, ...] = ()
+    segments: tuple[Segment, ...] = ()
     solution: Solution | None = field(default=None, compare=False, repr=False)
 
     @property

@@ -1,7 +1,7 @@
 """calibration.json: a calibration on disk, readable back without loss.
 
 Matrices are row-major lists of rows. Next to each transform stand its quaternion and translation for people and other
-programs; reading takes the matrix.
+programs; reading takes the matrix. Files from before effects were looked for have neither these nor segments.
 """
 
 from __future__ import annotations
@@ -29,9 +29,11 @@ from gtcal.results.calibration import (
     PoseEstimate,
     Provenance,
     ResidualStatistics,
+    Segment,
     StageReport,
 )
 from gtcal.results.covariance import JointCovariance
+from gtcal.results.effect_finding import EffectFinding, Moment, Quantity
 from gtcal.results.result_file import read_result
 
 SCHEMA_VERSION = 1
@@ -74,6 +76,8 @@ def _document(calibration: Calibration) -> dict[str, Any]:
         "estimates": {str(stage): _estimate_document(found) for stage, found in calibration.estimates.items()},
         "mocap_noise": _mocap_noise_document(calibration.mocap_noise),
         "clock": asdict(calibration.clock) if calibration.clock else None,
+        "effects": [asdict(finding) for finding in calibration.effects],
+        "segments": [_segment_document(segment) for segment in calibration.segments],
         "stages": [_without_nan(asdict(stage)) for stage in calibration.stages],
         "dropped": [asdict(dropped) for dropped in calibration.dropped],
         "provenance": provenance_document(calibration.provenance),
@@ -126,6 +130,16 @@ def _covariance_document(joint: JointCovariance) -> dict[str, Any]:
     return {"theta_sizes": joint.theta_sizes, "matrix": joint.matrix.tolist()}
 
 
+def _segment_document(segment: Segment) -> dict[str, Any]:
+    return {
+        "start_s": segment.start_s,
+        "end_s": segment.end_s,
+        "moved": segment.moved,
+        "body_T_board": _board_document(segment.body_T_board),
+        "camera_T_ref": {name: _pose_document(pose) for name, pose in segment.camera_T_ref.items()},
+    }
+
+
 def _estimate_document(estimate: Estimate) -> dict[str, Any]:
     cameras = {
         name: {"camera_T_ref": pose.tolist(), "theta": estimate.theta[name].tolist()}
@@ -161,6 +175,8 @@ def _calibration(document: Mapping[str, Any]) -> Calibration:
         estimates={int(stage): _estimate(block) for stage, block in document["estimates"].items()},
         mocap_noise=_mocap_noise(document["mocap_noise"]),
         clock=None if document["clock"] is None else Clock(**document["clock"]),
+        effects=tuple(_finding(block) for block in document.get("effects", ())),
+        segments=tuple(_segment(block) for block in document.get("segments", ())),
         stages=tuple(_stage(block) for block in document["stages"]),
         dropped=tuple(_made(Dropped, block) for block in document["dropped"]),
         warnings=tuple(document["warnings"]),
@@ -206,6 +222,17 @@ def _mocap_noise(block: Mapping[str, Any] | None) -> MocapNoise | None:
         return None
     hold_out_px = {int(stage): float(rmse) for stage, rmse in block["hold_out_px"].items()}
     return _made(MocapNoise, {**block, "hold_out_px": hold_out_px})
+
+
+def _finding(block: Mapping[str, Any]) -> EffectFinding:
+    quantities = tuple(_made(Quantity, quantity) for quantity in block["estimate"])
+    moment = None if block["moment"] is None else _made(Moment, block["moment"])
+    return _made(EffectFinding, {**block, "estimate": quantities, "moment": moment})
+
+
+def _segment(block: Mapping[str, Any]) -> Segment:
+    cameras = {name: _pose(pose) for name, pose in block["camera_T_ref"].items()}
+    return _made(Segment, {**block, "body_T_board": _pose(block["body_T_board"]), "camera_T_ref": cameras})
 
 
 def _joint_covariance(kind: str, block: Mapping[str, Any]) -> JointCovariance:

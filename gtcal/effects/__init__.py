@@ -1,0 +1,1 @@
+"""What else the data want: effects that the model leaves out, each as extra columns to the frames' moments."""

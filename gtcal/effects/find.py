@@ -1,0 +1,158 @@
+"""What else the data want: all effects looked for in a calibration's frames, with what each would do to it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from gtcal.camera import FloatArray
+from gtcal.effects.board import BoardShape, Scale
+from gtcal.effects.change_points import ChangePoint, LensAfter, find_changes, others_of
+from gtcal.effects.effect import Effect
+from gtcal.effects.evidence import Evidence, Sums
+from gtcal.effects.frames import Frames, lag_of
+from gtcal.effects.lenses import lens_effects
+from gtcal.effects.shapes import SHAPES
+from gtcal.effects.timing import BodyLag, ClockDrift, ClockOffset, moves
+from gtcal.estimation.estimate import Estimate
+from gtcal.estimation.mocap_noise import MocapNoiseModel, Whiteness
+from gtcal.estimation.observations import Observations
+from gtcal.estimation.options import CalibrationOptions, MocapSigmas
+from gtcal.results.calibration import Calibration, MocapNoise, PoseEstimate
+from gtcal.results.effect_finding import EffectFinding
+
+FALSE_ALARMS = 0.01
+"""How often a clean recording may be said to show any effect at all; half for changes, half for the others."""
+
+TESTED_ELSEWHERE = "clock offset"
+"""The clock's own test warns of it, and finds it without linearising."""
+
+
+def with_effects(calibration: Calibration, observations: Observations, options: CalibrationOptions) -> Calibration:
+    """The calibration with what else the data want, and a warning for each that is no chance.
+
+    observations: those that it was computed from. Where the mocap was taken as exact, or its noise could not be told,
+    nothing is looked for: significance needs a noise."""
+    found, _ = find_effects(calibration, observations, options)
+    return replace(calibration, effects=found, warnings=(*calibration.warnings, *effect_warnings(found)))
+
+
+def effect_warnings(found: Sequence[EffectFinding]) -> tuple[str, ...]:
+    """Each change in a line, and one line for all else that the same cure helps."""
+    lines: list[str] = []
+    by_advice: dict[str, list[EffectFinding]] = {}
+    for finding in found:
+        if finding.significant and finding.moment:
+            lines.append(finding.statement)
+        elif finding.significant and finding.name != TESTED_ELSEWHERE:
+            by_advice.setdefault(finding.advice, []).append(finding)
+    for first, *others in by_advice.values():
+        also = f" (also: {', '.join(other.name for other in others)})" if others else ""
+        lines.append(f"{first.statement}{also}")
+    return tuple(lines)
+
+
+def find_effects(
+    calibration: Calibration,
+    observations: Observations,
+    options: CalibrationOptions,
+    *,
+    more: Sequence[Effect] = (),
+) -> tuple[tuple[EffectFinding, ...], tuple[ChangePoint, ...]]:
+    """All effects, those that move a camera most first, and the changes among them; ``more``: the caller's own."""
+    try:
+        return _found(calibration, observations, options, more)
+    except np.linalg.LinAlgError:  # a direction that the data leave open, which other warnings name
+        return (), ()
+
+
+def _found(
+    calibration: Calibration, observations: Observations, options: CalibrationOptions, more: Sequence[Effect]
+) -> tuple[tuple[EffectFinding, ...], tuple[ChangePoint, ...]]:
+    frames = frames_of(calibration, observations, options)
+    if frames is None:
+        return (), ()
+    frames, changes = find_changes(frames, level=0.5 * FALSE_ALARMS)
+    lasting = (*lasting_effects(frames, options), *more)
+    effects: list[Effect] = [*changes, *map(LensAfter, changes), *lasting]
+    tests = {index: 2.0 * change.tests for index, change in enumerate(changes)}
+    tests |= {index: 2.0 * len(lasting) for index in range(2 * len(changes), len(effects))}
+    sums = Sums.of(frames, effects)
+    let_in = _let_in(sums, tests, range(2 * len(changes)))
+    found = []
+    for index, count in tests.items():
+        is_change = index < len(changes)
+        given = others_of(index, len(changes)) if is_change else [other for other in let_in if other != index]
+        evidence = sums.evidence(index, given, from_stated=is_change)
+        found.append(_finding(effects[index], evidence, calibration.estimate, count))
+    found = [finding for finding in found if finding.is_finite]
+    return tuple(sorted(found, key=lambda finding: (not finding.significant, -finding.largest_move_mm))), changes
+
+
+def frames_of(calibration: Calibration, observations: Observations, options: CalibrationOptions) -> Frames | None:
+    """What effects are looked for in; None where the mocap's noise is not known, or the frames are too few."""
+    if calibration.mocap_noise is None:
+        return None
+    noise = calibration.mocap_noise
+    lag_1 = lag_of(Whiteness(noise.innovation_variance, noise.lag_1, noise.lag_1_sigma))
+    return Frames.of(observations, calibration.estimate, noise_model(noise), options, lag_1)
+
+
+def _let_in(sums: Sums, tests: Mapping[int, float], given: Sequence[int]) -> list[int]:
+    """Those given, and one at a time the effect that explains most, while it is significant: a wrong focal length, let
+    in, no longer looks like a wrong distortion."""
+    chosen = list(given)
+    while True:
+        tried = {index: sums.evidence(index, chosen) for index in tests if index not in chosen}
+        tried = {index: found for index, found in tried.items() if _significant(found, tests[index])}
+        if not tried:
+            return chosen
+        chosen.append(max(tried, key=lambda index: tried[index].worth))
+
+
+def _significant(evidence: Evidence, tests: float) -> bool:
+    return evidence.p_value * tests < FALSE_ALARMS and evidence.hold_out_drop_px > 0.0
+
+
+def noise_model(noise: MocapNoise) -> MocapNoiseModel:
+    """What a calibration took for the mocap's noise."""
+    bodies = {
+        name: MocapSigmas(sigma_mm, noise.rotation_sigma_deg[name])
+        for name, sigma_mm in noise.translation_sigma_mm.items()
+    }
+    return MocapNoiseModel(bodies, noise.correlation_s, noise.jitter_s, noise.estimated)
+
+
+def lasting_effects(frames: Frames, options: CalibrationOptions) -> list[Effect]:
+    """Those that hold all the time and that the options leave out."""
+    effects: list[Effect] = [Scale(), *(BoardShape(index) for index in range(len(SHAPES)))]
+    if moves(frames):
+        effects += [] if options.clock in ("estimate", "per_camera") else [ClockOffset()]
+        effects += [] if options.clock_drift else [ClockDrift()]
+        effects += [BodyLag()] if BodyLag.possible(frames) else []
+    return effects if options.refine_intrinsics else [*effects, *lens_effects(frames)]
+
+
+def _finding(effect: Effect, evidence: Evidence, estimate: Estimate, tests: float) -> EffectFinding:
+    p_value = min(tests * evidence.p_value, 1.0)
+    moved = {name: _moved(estimate.camera_T_ref[name], xi) for name, xi in evidence.moves.items()}
+    return EffectFinding(
+        name=effect.name,
+        what=effect.what,
+        estimate=effect.quantities(evidence.estimate, evidence.covariance),
+        p_value=p_value,
+        significant=_significant(evidence, tests),
+        hold_out_drop_px=evidence.hold_out_drop_px,
+        moves_mm={name: mm for name, (mm, _) in moved.items()},
+        moves_deg={name: deg for name, (_, deg) in moved.items()},
+        advice=effect.advice,
+        moment=effect.moment,
+    )
+
+
+def _moved(camera_T_ref: FloatArray, xi: FloatArray) -> tuple[float, float]:
+    """How far, in mm and deg, a camera's position in ref moves with camera_T_ref * Exp(xi)."""
+    position_m = PoseEstimate(camera_T_ref, None).position_of_a_in_b_m
+    return float(1e3 * np.linalg.norm(np.cross(position_m, xi[:3]) - xi[3:])), float(np.rad2deg(np.linalg.norm(xi[:3])))
