@@ -39,8 +39,7 @@ class Camera:
     intrinsics are still to be found. Integer pixel coordinates are pixel centres. ``rolling_shutter`` is None for a
     sensor that exposes all rows at once.
 
-    theta_sigmas: (K,) 1-sigma of each parameter, as stated with it; NaN where it is not, infinite where the parameter
-        is not known beforehand (gtcal found it in the same views)."""
+    theta_sigmas: (K,) 1-sigma of each parameter, as stated with it; NaN where it is not."""
 
     name: str
     model: CameraModel

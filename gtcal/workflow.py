@@ -6,8 +6,6 @@ from __future__ import annotations
 import time
 from dataclasses import replace
 
-import numpy as np
-
 from gtcal.camera import Camera
 from gtcal.clock.find import tested, with_clock, with_stated_readouts
 from gtcal.detection.detect import cached_detect
@@ -106,7 +104,9 @@ def detected(recording: Recording, *, progress: Progress = silent, redo: bool = 
 
 
 def _is_to_be_found(camera: Camera, options: CalibrationOptions) -> bool:
-    return options.intrinsics == "calibrate" or (options.intrinsics == "auto" and camera.parameters is None)
+    return options.intrinsics in ("calibrate", "calibrate+refine") or (
+        options.intrinsics == "auto" and camera.parameters is None
+    )
 
 
 def _with_intrinsics(
@@ -118,8 +118,7 @@ def _with_intrinsics(
         progress("intrinsics", done, len(wanted))
         started = time.perf_counter()
         found = calibrate_intrinsics(views[name])
-        unknown = np.full(found.camera.model.n_parameters, np.inf)
-        views[name] = replace(views[name], camera=replace(found.camera, theta_sigmas=unknown))
+        views[name] = replace(views[name], camera=replace(found.camera, theta_sigmas=None))
         seconds = time.perf_counter() - started
         reports.append(
             StageReport(

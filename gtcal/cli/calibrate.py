@@ -35,7 +35,7 @@ def calibrate(
     *,
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("calibration.json"),
     report: Path | None = None,
-    intrinsics: Literal["auto", "fixed", "exact", "refine", "calibrate"] = "exact",
+    intrinsics: Literal["exact", "fixed", "auto", "refine", "calibrate", "calibrate+refine"] = "exact",
     calibrate_intrinsics: bool = False,
     refine_intrinsics: bool = False,
     intrinsics_prior: Literal["weak", "stated"] = "weak",
@@ -80,11 +80,11 @@ def calibrate(
             as parameter_sigmas, else 0.3 % of the focal length and 3 px, what real factory values are off by); found
             first where the manifest states none. 'fixed': held at the manifest's values, whose sigmas count in the
             covariance. 'exact': held and taken for known exactly, as in the paper. 'refine': solved for jointly under
-            --intrinsics-prior. 'calibrate': found first, by a plain calibration from the views, then solved for
-            jointly; the manifest's values are not used.
-        calibrate_intrinsics: Short for --intrinsics calibrate.
+            --intrinsics-prior. 'calibrate': found first, by a plain calibration from the views, then held;
+            'calibrate+refine': found first, then solved for jointly; the manifest's values are not used.
+        calibrate_intrinsics: Short for --intrinsics calibrate; with the next, for 'calibrate+refine'.
         refine_intrinsics: Short for --intrinsics refine.
-        intrinsics_prior: For --intrinsics refine. 'weak': the paper's prior (principal point to the image centre,
+        intrinsics_prior: Where they are refined. 'weak': the paper's prior (principal point to the image centre,
             distortion to zero, focal length free). 'stated': near the manifest's values, as for 'auto'.
         focal_sigma_px: 1-sigma of fx and fy of all cameras, in place of the manifest's or a factory's.
         centre_sigma_px: 1-sigma of cx and cy, likewise.
@@ -166,16 +166,19 @@ def calibrate(
 
 
 def intrinsics_mode(stated: IntrinsicsMode, *, calibrate: bool, refine: bool) -> IntrinsicsMode:
-    """What --intrinsics and its two short forms mean together: intrinsics that are found first are refined too.
+    """What --intrinsics and its two short forms mean together.
 
     Raises GtcalError where they contradict each other."""
     from gtcal.errors import GtcalError
 
-    short: IntrinsicsMode | None = "calibrate" if calibrate else "refine" if refine else None
-    if short is None:
-        return stated
+    asked: dict[tuple[bool, bool], IntrinsicsMode] = {
+        (True, False): "calibrate",
+        (False, True): "refine",
+        (True, True): "calibrate+refine",
+    }
+    short = asked.get((calibrate, refine), stated)
     if stated not in ("exact", short):
-        raise GtcalError(f"--intrinsics {stated} and --{short}-intrinsics contradict each other: give one")
+        raise GtcalError(f"--intrinsics {stated} and the short forms for {short} contradict each other: give one")
     return short
 
 

@@ -152,11 +152,9 @@ def intrinsics_priors(views: Mapping[str, Views], options: CalibrationOptions) -
 
 
 def _prior(views: Views, options: CalibrationOptions) -> IntrinsicsPrior:
-    """The paper's weak one where nothing is known of the lens beforehand, or where that is asked for."""
-    if options.intrinsics == "refine" and options.intrinsics_prior == "weak":
+    if options.intrinsics != "auto" and options.intrinsics_prior == "weak":
         return IntrinsicsPrior(None)
-    sigmas = lens_sigmas(views.camera, options)
-    return IntrinsicsPrior(sigmas if np.isfinite(sigmas).any() else None)
+    return IntrinsicsPrior(lens_sigmas(views.camera, options))
 
 
 def _sigma_px(screened: Screened, options: CalibrationOptions) -> float:

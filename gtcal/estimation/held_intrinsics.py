@@ -36,7 +36,7 @@ def with_held_intrinsics(
     Raises numpy.linalg.LinAlgError where the data leave a direction open."""
     S = _follow(adjusted, options, motion, noise)
     stated = [lens_sigmas(views.camera, options) for views in adjusted.screened.views.values()]
-    variances = np.concatenate([np.where(np.isfinite(sigmas), sigmas, 0.0) for sigmas in stated]) ** 2
+    variances = np.concatenate(stated) ** 2
     return replace(covariance, matrix=covariance.matrix + S * variances @ S.T)
 
 

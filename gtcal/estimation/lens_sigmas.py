@@ -23,7 +23,7 @@ _GRID = 15  # points across and down the image, its edges among them
 
 def lens_sigmas(camera: Camera, options: CalibrationOptions) -> FloatArray:
     """(K,) 1-sigma of each of the camera's stated parameters, in their units: those that the options give for all
-    cameras, else those stated with the camera, else a factory's. Infinite where nothing is known beforehand.
+    cameras, else those stated with the camera, else a factory's.
 
     Raises GtcalError where the camera has no intrinsics."""
     sigmas = _factory_sigmas(camera)

@@ -12,11 +12,12 @@ from gtcal.estimation.priors import Priors
 REDESCENDING = ("GemanMcClure", "TruncatedLeastSquares", "Tukey", "Welsch", "Cauchy")
 """Kernels under which what lies far off hardly counts."""
 
-IntrinsicsMode = Literal["auto", "fixed", "exact", "refine", "calibrate"]
+IntrinsicsMode = Literal["exact", "fixed", "auto", "refine", "calibrate", "calibrate+refine"]
 """auto: solved for jointly with the extrinsics, near what the recording states, by its sigmas; found first where it
 states nothing. fixed: held at what the recording states, whose sigmas count in the covariance. exact: held, and taken
 for known exactly, as in the paper. refine: solved for jointly, under ``intrinsics_prior``. calibrate: found first, by a
-plain calibration from the views, then solved for jointly; what the recording states is not used."""
+plain calibration from the views, then held as exact; calibrate+refine: found first, then solved for jointly as by
+refine. What the recording states is not used by these two."""
 
 IntrinsicsPrior = Literal["weak", "stated"]
 
@@ -52,8 +53,8 @@ class CalibrationOptions:
     """Options of ``gtcal.calibrate``.
 
     intrinsics: see ``IntrinsicsMode``.
-    intrinsics_prior: for 'refine': 'weak', the paper's, or 'stated', the recording's values with its sigmas, as for
-        'auto'.
+    intrinsics_prior: where they are refined: 'weak', the paper's, or 'stated', the recording's values with its sigmas,
+        as for 'auto'.
     focal_sigma_px, centre_sigma_px, distortion_sigma: of all cameras' stated intrinsics; None for those that the
         recording states with them, and where it states none, those of a factory's calibration
         (``gtcal.estimation.lens_sigmas``).
@@ -119,7 +120,7 @@ class CalibrationOptions:
                 "segments are found among the effects, in what the mocap's noise does not explain: they need stage 3, "
                 "effects, and a mocap that is not exact"
             )
-        if self.intrinsics == "refine" and 3 not in self.stages:
+        if self.intrinsics in ("refine", "calibrate+refine") and 3 not in self.stages:
             raise GtcalError("intrinsics are refined in stage 3, but stages leave it out")
         if isinstance(self.mocap, MocapSigmas) and 3 not in self.stages:
             raise GtcalError("mocap noise is modelled from where stage 3 ends, but stages leave it out")
@@ -143,4 +144,4 @@ class CalibrationOptions:
     @property
     def refine_intrinsics(self) -> bool:
         """Whether the intrinsics are solved for jointly with the extrinsics."""
-        return self.intrinsics in ("auto", "refine", "calibrate") and 3 in self.stages
+        return self.intrinsics in ("auto", "refine", "calibrate+refine") and 3 in self.stages
