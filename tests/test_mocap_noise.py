@@ -178,7 +178,16 @@ def test_a_view_whose_corners_lie_on_a_line_or_nowhere_does_no_harm() -> None:
 
 def test_too_few_frames_tell_no_noise() -> None:
     frames, observations, information = moments_of(simulated(mocap=TRUE, frames=60))
-    assert estimate_noise(frames.take(np.arange(9)), observations.motion, information) is None
+    assert estimate_noise(frames.take(np.arange(2)), observations.motion, information) is None
+
+
+def test_few_frames_tell_it_roughly_and_the_covariance_is_larger_for_it() -> None:
+    frames, observations, information = moments_of(simulated(mocap=TRUE, frames=60))
+    few = estimate_noise(frames.take(np.arange(9)), observations.motion, information)
+    all_of_them = estimate_noise(frames, observations.motion, information)
+    assert 3.0 <= few.degrees_of_freedom <= 54.0 - 12.0 + 1.0  # X and the rig's place take twelve numbers
+    assert all_of_them.degrees_of_freedom > 5.0 * few.degrees_of_freedom
+    assert few.small_sample_factor > all_of_them.small_sample_factor > 1.0
 
 
 def test_frames_that_leave_an_unknown_open_tell_no_noise() -> None:

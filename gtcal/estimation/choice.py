@@ -11,7 +11,7 @@ WORSE, WORSE_SIGMAS, MUCH_WORSE = 1.01, 1.0, 1.05
 standard error, or over 5 % larger, whatever that may be by chance: it then takes for noise what is systematic."""
 
 MOST_DROPPED = 0.1
-"""Nor where it would have to leave out more than this share of a camera's views, as off by more than its noise."""
+"""Nor where it would have to leave out more than this share of the views, as off by more than its noise."""
 
 NOT_WHITE, NOT_CHANCE = 0.4, 4.0
 """Innovations are not white where their correlation from frame to frame is over 0.4 and over 4 sigma of chance."""
@@ -39,7 +39,7 @@ def choose(fit: MocapNoiseFit, whiteness: Whiteness) -> MocapNoise:
 
 def _choice(hold_out_px: dict[int, float], fit: MocapNoiseFit, whiteness: Whiteness) -> tuple[int, str]:
     if fit.gross_share > MOST_DROPPED:
-        return 3, f"{fit.gross_share:.0%} of a camera's views lie off by more than noise explains, so it is not noise"
+        return 3, f"{fit.gross_share:.0%} of the views lie off by more than noise explains, so it is not noise"
     compared = f"hold-out {hold_out_px[4]:.3g} px with the mocap's noise modelled, {hold_out_px[3]:.3g} px without"
     surely = fit.hold_out.noisy_worse_by_sigmas > WORSE_SIGMAS
     if hold_out_px[4] > (WORSE if surely else MUCH_WORSE) * hold_out_px[3]:

@@ -54,7 +54,7 @@ class MocapNoiseFit:
     """What stage 4 takes for the noise.
 
     hold_out: sums for the hold-out errors of stages 3 and 4. dropped: views of frames that noise does not explain.
-    gross_share: how many these are, as a share of the views of the camera that has most."""
+    gross_share: how many these are, as a share of all views."""
 
     noise: MocapNoiseModel
     sigma_px: float
@@ -106,7 +106,7 @@ def fit_mocap_noise(
     gross = _gross_views(adjusted, noise, motion, options, sample.sigma_px)
     if gross and not options.screen:
         return None
-    gross_share = max((float(mask.mean()) for mask in gross.values()), default=0.0)
+    gross_share = float(np.mean(np.concatenate(list(gross.values())))) if gross else 0.0
     adjusted, dropped = _without(adjusted, gross)
     held_out = hold_out(
         adjusted.screened.views,

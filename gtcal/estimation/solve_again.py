@@ -12,7 +12,7 @@ from gtcal.estimation.graph import BODY_T_BOARD, camera_T_ref_key, theta_key, up
 from gtcal.estimation.many_frames import minimise_many_frames
 from gtcal.estimation.marginals import covariance_of, joint_information
 from gtcal.estimation.residuals import chain_residuals_px, norms
-from gtcal.results.calibration import Calibration, PoseEstimate, ResidualStatistics, Solution
+from gtcal.results.calibration import Calibration, PoseEstimate, ResidualStatistics
 from gtcal.results.covariance import CLUSTERED, NAIVE, JointCovariance
 
 
@@ -59,7 +59,7 @@ def solve_again(
     if matrix is None:
         raise GtcalError("the graph leaves a direction open: do the added factors take as much as they give?")
     kind = NAIVE if calibration.covariance_kind == CLUSTERED else calibration.covariance_kind
-    joint = JointCovariance(kind, sizes, matrix)
+    joint = JointCovariance(kind, sizes, solution.covariance_factor * matrix)
     cameras = {}
     for name, camera in calibration.cameras.items():
         views = solution.views[name]
@@ -78,7 +78,7 @@ def solve_again(
         covariance_kind=kind,
         covariances={kind: joint},
         estimates={stage: estimate},
-        solution=Solution(graph, found.values, estimate, solution.views),
+        solution=replace(solution, graph=graph, values=found.values, estimate=estimate),
     )
 
 

@@ -112,7 +112,7 @@ def calibrate_observations(
             *fit_warnings((*reports, *later)),
         ),
         provenance=provenance(options, inputs, time.perf_counter() - started),
-        solution=Solution(adjusted.graph, adjusted.values, final, adjusted.screened.views),
+        solution=Solution(adjusted.graph, adjusted.values, final, adjusted.screened.views, found.covariance_factor),
     )
 
 
@@ -268,6 +268,12 @@ class _Found:
     reports: tuple[StageReport, ...] = ()
     freed: Adjusted | None = None
     modelled: MocapNoiseModel | None = None
+
+    @property
+    def covariance_factor(self) -> float:
+        """By how much the covariance that the estimate carries is larger than its graph's."""
+        taken = self.modelled if self.kind == ERRORS_IN_VARIABLES else None
+        return taken.small_sample_factor if taken is not None else 1.0
 
     @property
     def kind(self) -> str:

@@ -232,12 +232,13 @@ class Solution:
     """The optimised problem, for those who want to go on from it: add a factor, solve again.
 
     graph, values: GTSAM's, keys as in ``gtcal.estimation.graph``. views: the views and corners that were used, by
-    camera."""
+    camera. covariance_factor: by how much the calibration's covariance is larger than the graph's (few frames)."""
 
     graph: gtsam.NonlinearFactorGraph
     values: gtsam.Values
     estimate: Estimate
     views: dict[str, Views]
+    covariance_factor: float = 1.0
 
 
 @dataclass(frozen=True)
