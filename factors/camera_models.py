@@ -19,6 +19,10 @@ Pinhole radial-tangential is OpenCV's five-coefficient model, in OpenCV's order 
 A point has a pixel where the model is one-to-one: up to the angle at which the radial function stops being
 monotonic, in front of the camera for the pinhole, and where the tangential part does not fold. Everything else
 is masked, never clipped or folded back.
+
+An optimiser passes points that have no pixel on its way to an estimate under which they have one. For it alone the
+radial function goes on past the end of the field, growing with the angle, its slope and its derivative by the
+parameters without a step (``_beyond``): ``project_point`` gives that continued pixel, and says that it is none.
 """
 
 from __future__ import annotations
@@ -37,6 +41,10 @@ FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
 
 _PINHOLE, _KB4, _F62, _F624 = 0, 1, 2, 3  # model ids, as the kernels know them
+_FARTHEST_PINHOLE_RAD = math.radians(85.0)  # off the axis: twice what rectilinear lenses see
+_GROWTH_PER_RAD = 10.0  # of the continued radial function's slope, until that is an equidistant lens's
+_SMALLEST_SLOPE = 1e-9  # of the radial function at the field's end: less, and it is there that it turns
+_LEAST_TURN = 0.1  # of the slope's fall at the field's end, for its derivative: less, and the end is hardly determined
 _LIMIT_SAMPLES = 720  # a quarter of a degree: a polynomial of degree 12 does not turn twice within one
 _NEWTON_STEPS = 50
 _UNDISTORT_TOLERANCE = 1e-14  # relative; next to a fold the last steps are rounding, the image is not
@@ -62,18 +70,25 @@ def _radial_slope(model_id: int, theta: FloatArray, radius: float) -> float:
     return 1.0 + w * (3.0 * theta[4] + w * (5.0 * theta[5] + w * (7.0 * theta[6] + w * (9.0 * theta[7] + high))))
 
 
+@inlined
+def _radial_bend(model_id: int, theta: FloatArray, radius: float) -> float:
+    """d slope / d radius: negative where the radial function stops being monotonic."""
+    w = radius * radius
+    if model_id == _PINHOLE:
+        return radius * (6.0 * theta[4] + w * (20.0 * theta[5] + w * 42.0 * theta[8]))
+    high = 0.0 if model_id == _KB4 else w * (110.0 * theta[8] + w * 156.0 * theta[9])
+    return radius * (6.0 * theta[4] + w * (20.0 * theta[5] + w * (42.0 * theta[6] + w * (72.0 * theta[7] + high))))
+
+
 @kernel
 def field_limit(model_id: int, theta: FloatArray) -> float:
     """Where the radial function stops being monotonic: the angle off the axis in rad (fisheye; at most pi), or
-    the normalised radius hypot(x, y) / z (pinhole; infinite where it never stops)."""
+    the normalised radius hypot(x, y) / z (pinhole; at most that of 85 degrees, past which its pixels run away)."""
     pinhole = model_id == _PINHOLE
+    farthest_angle = _FARTHEST_PINHOLE_RAD if pinhole else math.pi
     below = 0.0
     for i in range(1, _LIMIT_SAMPLES + 1):
-        angle = i * math.pi / _LIMIT_SAMPLES
-        if pinhole:
-            angle *= 0.5  # half angle of the pinhole's field, turned into its radius below
-            if i == _LIMIT_SAMPLES:
-                break
+        angle = i * farthest_angle / _LIMIT_SAMPLES
         above = math.tan(angle) if pinhole else angle
         if not _radial_slope(model_id, theta, above) > 0.0:
             for _ in range(60):
@@ -84,7 +99,27 @@ def field_limit(model_id: int, theta: FloatArray) -> float:
                     above = middle
             return below
         below = above
-    return math.inf if pinhole else math.pi
+    return below
+
+
+@inlined
+def _beyond(
+    model_id: int, theta: FloatArray, limit: float, angle: float
+) -> tuple[float, float, float, float]:
+    """The radial function continued past the field's end at ``limit``, as a function of the angle off the axis.
+
+    Returns its value, its slope by the angle, and two derivatives by the i-th radial coefficient, over
+    (2 i + 3) limit^(2 i + 2): of the limit, and of the value less limit^(2 i + 3)."""
+    pinhole = model_id == _PINHOLE
+    over = angle - (math.atan(limit) if pinhole else limit)
+    stretch = 1.0 + limit * limit if pinhole else 1.0  # d radius / d angle
+    value, slope = _radial(model_id, theta, limit), stretch * _radial_slope(model_id, theta, limit)
+    if slope > _SMALLEST_SLOPE:  # the field ends for want of angles
+        return value + over * slope, slope, 0.0, over * stretch
+    bend = min(_radial_bend(model_id, theta, limit), -_LEAST_TURN)
+    slope = min(_GROWTH_PER_RAD * over, 1.0)
+    value += slope * (over - 0.5 * slope / _GROWTH_PER_RAD)
+    return value, slope, -1.0 / bend, slope / (bend * stretch)
 
 
 @inlined
@@ -147,16 +182,20 @@ def _project_fisheye(
     r = math.sqrt(r2)
     angle = math.atan2(r, z)
     squared_norm = r2 + z * z
-    if not (angle < limit and 0.0 < squared_norm < math.inf):
+    if not 0.0 < squared_norm < math.inf or (r == 0.0 and z < 0.0):
         return math.nan, math.nan, False
-    slope = _radial_slope(model_id, theta, angle)
+    inside = angle < limit
+    if inside:
+        radial, slope, end, pull = _radial(model_id, theta, angle), _radial_slope(model_id, theta, angle), angle, 0.0
+    else:
+        end = limit
+        radial, slope, _, pull = _beyond(model_id, theta, limit, angle)
     per_r = 1.0 / r if r > 0.0 else 0.0
     cos_azimuth, sin_azimuth = x * per_r, y * per_r
-    scale = _radial(model_id, theta, angle) * per_r if r > 0.0 else 1.0 / z  # (u, v) = scale * (x, y)
+    scale = radial * per_r if r > 0.0 else 1.0 / z  # (u, v) = scale * (x, y)
     u, v = scale * x, scale * y
     ud, vd, uu, uv, vu, vv = _distort_fisheye(model_id, theta, u, v)
-    if not uu * vv - uv * vu > 0.0:
-        return math.nan, math.nan, False
+    valid = inside and uu * vv - uv * vu > 0.0
     fx, fy = theta[0], theta[1]
 
     # d(u, v) / d(x, y, z): r * d scale / d r = turn, and d scale / d z = fall
@@ -174,10 +213,11 @@ def _project_fisheye(
         J_theta[1, 0], J_theta[1, 1], J_theta[1, 2], J_theta[1, 3] = 0.0, vd, 0.0, 1.0
         along_u = fx * (uu * cos_azimuth + uv * sin_azimuth)
         along_v = fy * (vu * cos_azimuth + vv * sin_azimuth)
-        power, w = angle, angle * angle
+        power, w = 1.0, end * end
         for i in range(4 if model_id == _KB4 else 6):
             power *= w
-            J_theta[0, 4 + i], J_theta[1, 4 + i] = along_u * power, along_v * power
+            by_coefficient = power * (end + (2 * i + 3) * pull)
+            J_theta[0, 4 + i], J_theta[1, 4 + i] = along_u * by_coefficient, along_v * by_coefficient
         if model_id != _KB4:
             rho2 = u * u + v * v
             J_theta[0, 10], J_theta[1, 10] = fx * (rho2 + 2.0 * u * u), fy * 2.0 * u * v
@@ -195,7 +235,53 @@ def _project_fisheye(
                     fy * rho2,
                     fy * rho2 * rho2,
                 )
-    return fx * ud + theta[2], fy * vd + theta[3], True
+    return fx * ud + theta[2], fy * vd + theta[3], valid
+
+
+@inlined
+def _continue_pinhole(
+    theta: FloatArray,
+    limit: float,
+    x: float,
+    y: float,
+    z: float,
+    J_point: FloatArray,
+    J_theta: FloatArray,
+    with_theta: bool,
+) -> tuple[float, float]:
+    """The pixel of a point beyond the field: its radial part continued, its tangential part as at the field's end."""
+    r2 = x * x + y * y
+    r, squared_norm = math.sqrt(r2), r2 + z * z
+    cos_azimuth, sin_azimuth = x / r, y / r
+    radial, slope, limit_by, pull = _beyond(_PINHOLE, theta, limit, math.atan2(r, z))
+    p1, p2 = theta[6], theta[7]
+    xe, ye, e2 = limit * cos_azimuth, limit * sin_azimuth, limit * limit
+    ud = radial * cos_azimuth + 2.0 * p1 * xe * ye + p2 * (e2 + 2.0 * xe * xe)
+    vd = radial * sin_azimuth + p1 * (e2 + 2.0 * ye * ye) + 2.0 * p2 * xe * ye
+    ux, uy = 2.0 * p1 * ye + 6.0 * p2 * xe, 2.0 * (p1 * xe + p2 * ye)  # of the tangential part alone
+    vy = 6.0 * p1 * ye + 2.0 * p2 * xe
+    u_turned = -radial * sin_azimuth - ux * ye + uy * xe  # d (u, v) / d azimuth
+    v_turned = radial * cos_azimuth - uy * ye + vy * xe
+    fx, fy = theta[0], theta[1]
+    for i in range(3):
+        turn = (-sin_azimuth / r, cos_azimuth / r, 0.0)[i]
+        tilt = (z * cos_azimuth / squared_norm, z * sin_azimuth / squared_norm, -r / squared_norm)[i]
+        J_point[0, i] = fx * (slope * cos_azimuth * tilt + u_turned * turn)
+        J_point[1, i] = fy * (slope * sin_azimuth * tilt + v_turned * turn)
+    if with_theta:
+        J_theta[0, 0], J_theta[0, 1], J_theta[0, 2], J_theta[0, 3] = ud, 0.0, 1.0, 0.0
+        J_theta[1, 0], J_theta[1, 1], J_theta[1, 2], J_theta[1, 3] = 0.0, vd, 0.0, 1.0
+        power = 1.0
+        for i in range(3):
+            column = 4 + i if i < 2 else 8
+            power *= e2
+            along = power * (limit + (2 * i + 3) * pull)
+            moved = power * (2 * i + 3) * limit_by
+            J_theta[0, column] = fx * (along * cos_azimuth + moved * (ux * cos_azimuth + uy * sin_azimuth))
+            J_theta[1, column] = fy * (along * sin_azimuth + moved * (uy * cos_azimuth + vy * sin_azimuth))
+        J_theta[0, 6], J_theta[1, 6] = fx * 2.0 * xe * ye, fy * (e2 + 2.0 * ye * ye)
+        J_theta[0, 7], J_theta[1, 7] = fx * (e2 + 2.0 * xe * xe), fy * 2.0 * xe * ye
+    return fx * ud + theta[2], fy * vd + theta[3]
 
 
 @inlined
@@ -209,15 +295,16 @@ def _project_pinhole(
     J_theta: FloatArray,
     with_theta: bool,
 ) -> tuple[float, float, bool]:
-    if not 0.0 < z < math.inf:
+    r = math.hypot(x, y)
+    if not (r < math.inf and abs(z) < math.inf) or (r == 0.0 and not z > 0.0):
         return math.nan, math.nan, False
+    if not r < limit * z:
+        px, py = _continue_pinhole(theta, limit, x, y, z, J_point, J_theta, with_theta)
+        return px, py, False
     xn, yn = x / z, y / z
     r2 = xn * xn + yn * yn
-    if not r2 < limit * limit:
-        return math.nan, math.nan, False
     ud, vd, ux, uy, vx, vy = _distort_pinhole(theta, xn, yn)
-    if not ux * vy - uy * vx > 0.0:
-        return math.nan, math.nan, False
+    valid = ux * vy - uy * vx > 0.0
     fx, fy = theta[0], theta[1]
     J_point[0, 0], J_point[0, 1] = fx * ux / z, fx * uy / z
     J_point[1, 0], J_point[1, 1] = fy * vx / z, fy * vy / z
@@ -231,7 +318,7 @@ def _project_pinhole(
         J_theta[0, 6], J_theta[1, 6] = fx * 2.0 * xn * yn, fy * (r2 + 2.0 * yn * yn)
         J_theta[0, 7], J_theta[1, 7] = fx * (r2 + 2.0 * xn * xn), fy * 2.0 * xn * yn
         J_theta[0, 8], J_theta[1, 8] = fx * xn * r2 * r2 * r2, fy * yn * r2 * r2 * r2
-    return fx * ud + theta[2], fy * vd + theta[3], True
+    return fx * ud + theta[2], fy * vd + theta[3], valid
 
 
 @inlined
@@ -246,10 +333,11 @@ def project_point(
     J_theta: FloatArray,
     with_theta: bool,
 ) -> tuple[float, float, bool]:
-    """Pixel of one point in the camera frame, and whether there is one.
+    """Pixel of one point in the camera frame, and whether it has one; where not, the continued pixel that an optimiser
+    may go by, NaN for what is no direction or straight behind the camera.
 
     ``limit`` is ``field_limit(model_id, theta)``. Writes d pixel / d point into J_point (2, 3) and, if
-    ``with_theta``, d pixel / d theta into J_theta (2, K); both are left as they were where there is no pixel.
+    ``with_theta``, d pixel / d theta into J_theta (2, K); both are left as they were where the pixel is NaN.
     """
     if model_id == _PINHOLE:
         return _project_pinhole(theta, limit, x, y, z, J_point, J_theta, with_theta)
@@ -261,11 +349,7 @@ def _invert_radial(model_id: int, theta: FloatArray, limit: float, target: float
     """The radius (angle of a fisheye) below ``limit`` with radius * s(radius) = target; NaN where there is
     none. Newton's method, kept inside a bracket that each step narrows."""
     low, high = 0.0, limit
-    if math.isinf(limit):
-        high = max(1.0, target)
-        while _radial(model_id, theta, high) < target:
-            high *= 2.0
-    elif not target < _radial(model_id, theta, limit):
+    if not target < _radial(model_id, theta, limit):
         return math.nan
     radius = min(target, 0.5 * (low + high))
     for _ in range(_NEWTON_STEPS):
@@ -370,6 +454,7 @@ def _project_points(
     J_point: FloatArray,
     J_theta: FloatArray,
     with_jacobians: bool,
+    continued: bool,
 ) -> None:
     limit = field_limit(model_id, theta)
     for i in range(len(points_in_camera)):
@@ -385,6 +470,8 @@ def _project_points(
             J_theta[row],
             with_jacobians,
         )
+        if not (valid[i] or continued):
+            pixels_px[i], J_point[row], J_theta[row] = math.nan, math.nan, math.nan
 
 
 @kernel
@@ -425,20 +512,22 @@ class CameraModel:
         points, parameters = _rows(points_in_camera, 3, "points_in_camera"), self.as_theta(theta)
         pixels, valid = np.empty((len(points), 2)), np.empty(len(points), dtype=np.bool_)
         scratch_point, scratch_theta = np.empty((1, 2, 3)), np.empty((1, 2, self.n_parameters))
-        _project_points(self.model_id, parameters, points, pixels, valid, scratch_point, scratch_theta, False)
+        _project_points(self.model_id, parameters, points, pixels, valid, scratch_point, scratch_theta, False, False)
         return pixels, valid
 
     def project_with_jacobians(
-        self, points_in_camera: npt.ArrayLike, theta: npt.ArrayLike
+        self, points_in_camera: npt.ArrayLike, theta: npt.ArrayLike, *, continued: bool = False
     ) -> tuple[FloatArray, BoolArray, FloatArray, FloatArray]:
         """``project``, and d pixel / d point (N, 2, 3) and d pixel / d theta (N, 2, K), NaN where masked.
+
+        continued: give what is masked the pixels and derivatives that an optimiser goes by, past the field's end.
 
         Raises ValueError for arrays of another shape."""
         points, parameters = _rows(points_in_camera, 3, "points_in_camera"), self.as_theta(theta)
         pixels, valid = np.empty((len(points), 2)), np.empty(len(points), dtype=np.bool_)
         J_point = np.full((len(points), 2, 3), np.nan)
         J_theta = np.full((len(points), 2, self.n_parameters), np.nan)
-        _project_points(self.model_id, parameters, points, pixels, valid, J_point, J_theta, True)
+        _project_points(self.model_id, parameters, points, pixels, valid, J_point, J_theta, True, continued)
         return pixels, valid, J_point, J_theta
 
     def unproject(self, pixels_px: npt.ArrayLike, theta: npt.ArrayLike) -> tuple[FloatArray, BoolArray]:

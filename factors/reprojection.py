@@ -9,8 +9,9 @@ error, gradient, Hessian and optimum.
 What makes the fused one fast: one kernel sums w [J r]^T [J r] of each view in the tangent of its camera_T_board
 (and theta), 7 columns instead of 13; ``factors.moments`` carries the sums over to the variables.
 
-A corner without a pixel under the current estimate (outside the model's valid field) has GTSAM's cheirality
-error: twice the focal length on both axes, with zero Jacobian.
+A corner without a pixel under the current estimate (outside the model's valid field) has the error of its continued
+pixel (``project_point``), so that no step across the field's end is a step of the error. Only what has no direction
+either has GTSAM's cheirality error: twice the focal length on both axes, with zero Jacobian.
 """
 
 from __future__ import annotations
@@ -107,13 +108,13 @@ def _corner_residual(
     with_theta: bool,
 ) -> bool:
     """Write [J r] of the corner (X, Y, Z) in the board frame, in px, into rows (2, D); columns as in ViewMoments,
-    T = camera_T_board."""
+    T = camera_T_board. Whether the corner has a pixel."""
     x = T[0, 0] * X + T[0, 1] * Y + T[0, 2] * Z + T[0, 3]
     y = T[1, 0] * X + T[1, 1] * Y + T[1, 2] * Z + T[1, 3]
     z = T[2, 0] * X + T[2, 1] * Y + T[2, 2] * Z + T[2, 3]
     px, py, valid = project_point(model_id, theta, limit, x, y, z, J_point, J_theta, with_theta)
     last = rows.shape[1] - 1
-    if not valid:
+    if math.isnan(px):
         rows[:] = 0.0
         rows[0, last] = rows[1, last] = 2.0 * theta[0]
         return False
@@ -128,7 +129,7 @@ def _corner_residual(
             for k in range(len(theta)):
                 rows[i, 6 + k] = J_theta[i, k]
     rows[0, last], rows[1, last] = px - measured_x, py - measured_y
-    return True
+    return valid
 
 
 @kernel
@@ -212,8 +213,11 @@ def _residuals(
             x = T[0, 0] * X + T[0, 1] * Y + T[0, 2] * Z + T[0, 3]
             y = T[1, 0] * X + T[1, 1] * Y + T[1, 2] * Z + T[1, 3]
             z = T[2, 0] * X + T[2, 1] * Y + T[2, 2] * Z + T[2, 3]
-            px, py, _ = project_point(model_id, theta, limit, x, y, z, J_point, J_theta, False)
-            residuals_px[n, 0], residuals_px[n, 1] = px - corners_px[n, 0], py - corners_px[n, 1]
+            px, py, valid = project_point(model_id, theta, limit, x, y, z, J_point, J_theta, False)
+            if valid:
+                residuals_px[n, 0], residuals_px[n, 1] = px - corners_px[n, 0], py - corners_px[n, 1]
+            else:
+                residuals_px[n] = math.nan
 
 
 @cache

@@ -13,6 +13,8 @@ from factors_support import CAMERAS, QUEST3_RIGHT, camera, numeric_derivative
 
 from factors import CAMERA_MODELS, FISHEYE62, FISHEYE624, KANNALA_BRANDT4, PINHOLE_RADTAN, CameraModel
 
+FARTHEST_PINHOLE_RAD = np.radians(85.0)
+
 every_camera = pytest.mark.parametrize("label", CAMERAS)
 every_fisheye = pytest.mark.parametrize("label", [c for c in CAMERAS if camera(c)[0] is not PINHOLE_RADTAN])
 
@@ -26,12 +28,12 @@ def off_axis(angle_rad: np.ndarray, n_azimuths: int = 24) -> np.ndarray:
 
 def field(model: CameraModel, theta: np.ndarray, up_to: float = 0.999) -> np.ndarray:
     """Bearings from the optical axis up to that share of the field's radius; to 65 degrees where a pinhole's field
-    has no end, for its pixels run to infinity at 90."""
+    goes on to 85, for its pixels run away there."""
     shares = np.concatenate([[0.0, 1e-12, 1e-8, 1e-4], np.linspace(0.01, up_to, 60), [up_to]])
     limit = model.max_angle_rad(theta)
     if model is not PINHOLE_RADTAN:
         return off_axis(shares * limit)
-    return off_axis(np.arctan(shares * np.tan(limit)) if limit < np.radians(89.9) else shares * np.radians(65))
+    return off_axis(np.arctan(shares * np.tan(limit)) if limit < np.radians(84.9) else shares * np.radians(65))
 
 
 def test_every_model_has_a_camera_here() -> None:
@@ -118,6 +120,54 @@ def test_beyond_the_field_there_is_no_pixel(label: str) -> None:
     assert model.project(off_axis(np.array([0.99 * limit])), theta)[1].all()
 
 
+def continued(model: CameraModel, theta: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, ...]:
+    pixels, valid, J_point, J_theta = model.project_with_jacobians(points, theta, continued=True)
+    return pixels, J_point, J_theta, valid
+
+
+with_an_end = pytest.mark.parametrize("label", [c for c in CAMERAS if camera(c)[0].max_angle_rad(camera(c)[1]) < np.pi])
+
+
+@with_an_end
+def test_beyond_the_field_an_optimiser_finds_its_way_back(label: str) -> None:
+    model, theta = camera(label)
+    limit = model.max_angle_rad(theta)
+    angles = np.linspace(limit + 1e-4, 3.0, 50)
+    points = 1.3 * off_axis(angles, 8)
+    pixels, J_point, J_theta, valid = continued(model, theta, points)
+    assert not valid.any()
+    by_point = numeric_derivative(lambda p: continued(model, theta, p)[0], points, 1e-6)
+    by_theta = numeric_derivative(lambda t: continued(model, t, points)[0], theta, 1e-7)
+    np.testing.assert_allclose(J_point, by_point, rtol=1e-6, atol=1e-9 * np.abs(by_point).max())
+    np.testing.assert_allclose(J_theta, by_theta, rtol=1e-5, atol=1e-6 * np.abs(by_theta).max())
+    distance_px = np.hypot(*((pixels - theta[2:4]) / theta[:2]).T).reshape(8, 50)
+    assert (np.diff(distance_px, axis=1) > 0.0).all()  # ever further out, and so pulled back
+
+
+@with_an_end
+def test_at_the_end_of_the_field_the_continued_pixel_has_no_step(label: str) -> None:
+    model, theta = camera(label)
+    limit = model.max_angle_rad(theta)
+    step = 1e-9
+    before, after = (continued(model, theta, off_axis(np.array([limit + s * step]), 8)) for s in (-1, 1))
+    size = np.abs(before[1]).max()
+    np.testing.assert_allclose(before[0], after[0], rtol=0, atol=3 * step * size)
+    tangential = 0.06 if label == "strong_barrel" else 0.0  # a pinhole's ends with the field, as documented
+    for i in (1, 2):
+        scale = np.abs(before[i]).max()
+        np.testing.assert_allclose(before[i], after[i], rtol=0, atol=(2e-5 + tangential) * scale)
+
+
+@every_camera
+def test_inside_the_field_the_continued_pixel_is_the_pixel(label: str) -> None:
+    model, theta = camera(label)
+    points = field(model, theta, 0.98)
+    pixels, valid, *jacobians = model.project_with_jacobians(points, theta)
+    assert valid.all()
+    for got, expected in zip(continued(model, theta, points), (pixels, *jacobians, valid), strict=True):
+        np.testing.assert_array_equal(got, expected)
+
+
 @pytest.mark.parametrize(("label", "index"), [("quest3", 10), ("thin_prism", 11), ("strong_barrel", 6)])
 def test_where_the_tangential_part_folds_there_is_no_pixel(label: str, index: int) -> None:
     model, theta = camera(label)
@@ -145,12 +195,17 @@ def test_what_is_no_direction_has_no_pixel(label: str) -> None:
 def test_pixels_outside_the_field_have_no_point(label: str) -> None:
     model, theta = camera(label)
     outside = [[np.nan, 3.0], [3.0, np.nan], [np.inf, 3.0], [3.0, -np.inf]]
-    if np.isfinite(radius_limit(model, theta)) and model.max_angle_rad(theta) < np.pi:
+    if ends(model, theta):
         rim = model.project(off_axis(np.array([0.99 * model.max_angle_rad(theta)])), theta)[0]
         outside += list(theta[2:4] + 1.1 * (rim - theta[2:4]))
     bearings, found = model.unproject(outside, theta)
     assert not found.any()
     assert np.isnan(bearings).all()
+
+
+def ends(model: CameraModel, theta: np.ndarray) -> bool:
+    """Whether the radial function turns within the field."""
+    return radius_limit(model, theta) < (np.tan(FARTHEST_PINHOLE_RAD) if model is PINHOLE_RADTAN else np.pi)
 
 
 def radius_limit(model: CameraModel, theta: np.ndarray) -> float:
@@ -168,15 +223,15 @@ def test_the_field_ends_at_the_first_root_of_the_slope(model: CameraModel) -> No
     random = np.random.default_rng(5)
     radial = [name.startswith("k") for name in model.parameter_names]
     sizes = 0.3 * 0.5 ** np.arange(sum(radial))
-    ends = 0
+    n_ends = 0
     for _ in range(200):
         theta = np.zeros(model.n_parameters)
         theta[:2], theta[radial] = 500.0, random.normal(size=sum(radial)) * sizes
         root = radius_limit(model, theta)
-        limit = np.arctan(root) if model is PINHOLE_RADTAN else min(root, np.pi)
+        limit = min(np.arctan(root), FARTHEST_PINHOLE_RAD) if model is PINHOLE_RADTAN else min(root, np.pi)
         assert model.max_angle_rad(theta) == pytest.approx(limit, rel=1e-9)
-        ends += limit not in (np.pi, np.pi / 2)
-    assert ends > 50
+        n_ends += limit not in (np.pi, FARTHEST_PINHOLE_RAD)
+    assert n_ends > 50
 
 
 def test_the_field_of_the_quest_3() -> None:

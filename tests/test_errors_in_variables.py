@@ -151,23 +151,6 @@ def test_corners_at_the_edge_of_the_field_do_not_keep_free_intrinsics_from_the_o
         assert nees_per_dof(camera.camera_T_ref, recorded.truth.camera_T_ref[name]) < 8.0
 
 
-def test_where_free_intrinsics_are_stuck_the_corners_at_the_edge_are_left_out(monkeypatch):
-    minimise = errors_in_variables._run
-    sizes = []
-
-    def stuck_with_all(graph, start, views, options):
-        sizes.append(sum(of_camera.n_corners for of_camera in views.values()))
-        return replace(minimise(graph, start, views, options), stuck=sizes[-1] == max(sizes))
-
-    monkeypatch.setattr(errors_in_variables, "_run", stuck_with_all)
-    found = calibrate_observations(synchronise(edge_case().recording), CalibrationOptions(intrinsics="refine"))
-    assert found.mocap_noise.stage == 4
-    edge = [dropped for dropped in found.dropped if "edge of the lens's field" in dropped.reason]
-    assert len({dropped.camera for dropped in edge}) == len(edge)
-    n_corners = sum(dropped.n_corners for dropped in edge)
-    assert 0 < n_corners < 0.03 * sum(camera.residuals.n_corners for camera in found.cameras.values())
-
-
 @pytest.mark.parametrize("swapped", [0.55, 0.8])
 def test_a_mocap_that_is_mostly_wrong_is_refused(swapped):
     recorded = simulate(SimulationOptions(n_frames=20, swap_share=swapped), seed=3)

@@ -186,21 +186,34 @@ def test_views_may_be_empty() -> None:
     )
 
 
+@every_model
 @every_choice_of_variables
 @pytest.mark.parametrize("kernel", ["Null", "Cauchy"])
-def test_a_corner_beyond_the_field_has_a_constant_error(free: dict[str, bool], kernel: str) -> None:
-    seen = scene(n_views=1)
-    robust = RobustKernel.named(kernel)
+def test_beyond_the_field_the_grains_are_one_and_their_gradient_is_true(
+    label: str, free: dict[str, bool], kernel: str
+) -> None:
+    seen = scene(label, n_views=2)
     values = seen.initial(**free)
-    behind = gtsam.Pose3(gtsam.Rot3.Ry(np.pi), np.zeros(3)).compose(values.atPose3(Y))
-    values.update(Y, behind)
-    whitened = 2 * values.atVector(THETA)[0] if "free_theta" in free else 2 * seen.theta[0]
-    loss = robust.noise_model(seen.views.sigma_px, 2).loss(2 * (whitened / seen.views.sigma_px) ** 2)
-    for graph in both_grains(seen, robust, free):
-        assert graph.error(values) == pytest.approx(20 * loss, rel=1e-12)
-        matrix, vector = graph.linearize(values).hessian()
-        np.testing.assert_array_equal(matrix, 0.0)
-        np.testing.assert_array_equal(vector, 0.0)
+    values.update(Y, gtsam.Pose3(gtsam.Rot3.Ry(np.radians(100.0)), np.zeros(3)).compose(values.atPose3(Y)))
+    corners, fused = both_grains(seen, RobustKernel.named(kernel), free)
+    assert fused.error(values) == pytest.approx(corners.error(values), rel=1e-11)
+    gradients = [graph.linearize(values).gradientAtZero() for graph in (corners, fused)]
+    for key in fused.keyVector():
+        numeric = derivative_to(fused.error, values, key, 1e-7)
+        for gradient in gradients:
+            np.testing.assert_allclose(gradient.at(key), numeric, rtol=1e-5, atol=1e-6 * np.abs(numeric).max())
+
+
+def test_what_has_no_direction_has_a_constant_error() -> None:
+    seen = scene(n_views=1)
+    camera_T_board = np.eye(4)[None].copy()
+    camera_T_board[0, :3, 3] = -seen.views.corners_m[0]  # the first corner in the middle of the lens
+    start = np.array([0, 1])
+    views = CornerViews(start, seen.views.corners_m[:1], seen.views.corners_px[:1], seen.views.sigma_px)
+    got = view_moments(views, camera_T_board, seen.model, seen.theta)
+    whitened = 2.0 * seen.theta[0] / seen.views.sigma_px
+    assert got.loss[0] == pytest.approx(0.5 * 2.0 * whitened**2, rel=1e-12)
+    np.testing.assert_array_equal(got.moments[0, :6], 0.0)
 
 
 def test_corners_beyond_the_field_are_counted() -> None:

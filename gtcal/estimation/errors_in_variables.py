@@ -18,12 +18,11 @@ import numpy as np
 
 from factors.frames import CameraFrames, FramesReprojection
 from factors.mocap_noise import CorrelatedNoiseFactor
-from factors.moments import chain
 from gtcal.camera import BoolArray, FloatArray
 from gtcal.estimation.adjustment import Adjusted, add_user_priors, intrinsics_priors
 from gtcal.estimation.estimate import Estimate
 from gtcal.estimation.frame_statistics import FrameMoments, frame_moments, frames_of, in_parts
-from gtcal.estimation.graph import BODY_T_BOARD, Minimisation, camera_T_ref_key, theta_key, to_values, updated
+from gtcal.estimation.graph import BODY_T_BOARD, camera_T_ref_key, theta_key, to_values, updated
 from gtcal.estimation.hold_out import HoldOut, hold_out
 from gtcal.estimation.many_frames import minimise_many_frames
 from gtcal.estimation.mocap_noise import (
@@ -36,7 +35,7 @@ from gtcal.estimation.mocap_noise import (
 )
 from gtcal.estimation.observations import Dropped, Views
 from gtcal.estimation.options import CalibrationOptions, MocapSigmas
-from gtcal.estimation.residuals import corner_views, select_corners, select_views
+from gtcal.estimation.residuals import corner_views, select_views
 from gtcal.estimation.screening import screen
 from gtcal.progress import Progress, silent
 from gtcal.recordings.capture import RefMotion
@@ -78,7 +77,7 @@ def model_mocap_noise(
         screened, fit = fitted
         freed = adjust_with_mocap_noise(screened, fit, motion, options, progress)
         before = found[1].dropped if found else ()
-        found = freed, replace(fit, dropped=before + fit.dropped + _dropped_at_edge(screened, freed))
+        found = freed, replace(fit, dropped=before + fit.dropped)
     return found
 
 
@@ -156,7 +155,6 @@ def _without(adjusted: Adjusted, gross: Mapping[str, BoolArray]) -> tuple[Adjust
 
 _MOST_GROSS = 0.5  # of a camera's views: half of them stay, as in ``screen``
 _LEAST_GAIN = 0.05  # a step of a third of a sigma
-_AT_EDGE = "at the edge of the lens's field, where free intrinsics get stuck"
 GROSS = "mocap pose off by more than its noise explains"
 
 
@@ -171,71 +169,20 @@ def adjust_with_mocap_noise(
     options: CalibrationOptions,
     progress: Progress = silent,
 ) -> Adjusted:
-    """Go on from stage 3 with every A_t free, on the views and corners that it used. Where the intrinsics are free, and
-    corners at the very edge of the field of view keep them from the optimum, without those corners."""
+    """Go on from stage 3 with every A_t free, on the views and corners that it used."""
     progress("stage 4: mocap noise", 0, 1)
     graph, values = _problem(adjusted, fit, motion, options)
-    found = _minimised(graph, values, adjusted.screened.views, options)
-    if found.stuck and options.refine_intrinsics:
-        inside = _well_inside(adjusted)
-        smaller, values = _problem(inside, fit, motion, options)
-        found_inside = _minimised(smaller, values, inside.screened.views, options)
-        if not found_inside.stuck:
-            adjusted, graph, found = inside, smaller, found_inside
+    found = minimise_many_frames(
+        graph,
+        values,
+        shared_keys(adjusted.screened.views, options),
+        eps=options.eps,
+        max_iterations=options.max_iterations,
+        least_gain=_LEAST_GAIN,
+    )
     estimate = updated(adjusted.estimate, found.values)
     progress("stage 4: mocap noise", 1, 1)
     return Adjusted(estimate, fit.sigma_px, adjusted.screened.under(estimate), graph, found.values, found.errors)
-
-
-def _dropped_at_edge(adjusted: Adjusted, freed: Adjusted) -> tuple[Dropped, ...]:
-    """What ``adjust_with_mocap_noise`` left out."""
-    counts = {
-        name: (
-            views.n_views - freed.screened.views[name].n_views,
-            views.n_corners - freed.screened.views[name].n_corners,
-        )
-        for name, views in adjusted.screened.views.items()
-    }
-    return tuple(Dropped(name, _AT_EDGE, *count) for name, count in counts.items() if count[1])
-
-
-def _minimised(
-    graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, views: Mapping[str, Views], options: CalibrationOptions
-) -> Minimisation:
-    """Intrinsics that are free start where they were before stage 3, which bends them to fit the mocap's noise, often
-    up to where corners leave the field of view; from there only if that ends badly."""
-    found = _run(graph, _as_stated(values, views), views, options)
-    if not (found.stuck and options.refine_intrinsics):
-        return found
-    return min(found, _run(graph, values, views, options), key=lambda tried: tried.errors[-1])
-
-
-_EDGE = 0.95  # of the field's limit: corners beyond it may leave the field of view on the way
-
-
-def _well_inside(adjusted: Adjusted) -> Adjusted:
-    """Without the corners at the edge of the stated lenses' fields, where the error has a wall: chosen by where they
-    are, not by how they fit."""
-    estimate, views = adjusted.estimate, adjusted.screened.views
-    inside = {name: select_corners(of_camera, _inside(of_camera, estimate)) for name, of_camera in views.items()}
-    return replace(adjusted, screened=replace(adjusted.screened, views=inside))
-
-
-def _inside(views: Views, estimate: Estimate) -> BoolArray:
-    """(N,) the corners that the stated lens sees, and not at its edge."""
-    camera_T_board = chain(estimate.camera_T_ref[views.camera.name], views.ref_T_body, estimate.body_T_board)
-    T = camera_T_board[views.view_of_corner]
-    in_camera = np.einsum("nij,nj->ni", T[:, :3, :3], views.corners_m) + T[:, :3, 3]
-    angle_rad = np.arctan2(np.hypot(in_camera[:, 0], in_camera[:, 1]), in_camera[:, 2])
-    return np.asarray(angle_rad < _EDGE * views.camera.model.max_angle_rad(views.camera.theta))
-
-
-def _as_stated(values: gtsam.Values, views: Mapping[str, Views]) -> gtsam.Values:
-    stated = gtsam.Values(values)
-    for index, of_camera in enumerate(views.values()):
-        if values.exists(theta_key(index)):
-            stated.update(theta_key(index), of_camera.camera.theta)
-    return stated
 
 
 def shared_keys(views: Mapping[str, Views], options: CalibrationOptions) -> dict[int, int]:
@@ -244,19 +191,6 @@ def shared_keys(views: Mapping[str, Views], options: CalibrationOptions) -> dict
     if options.refine_intrinsics:
         shared |= {theta_key(c): of_camera.camera.model.n_parameters for c, of_camera in enumerate(views.values())}
     return shared
-
-
-def _run(
-    graph: gtsam.NonlinearFactorGraph, start: gtsam.Values, views: Mapping[str, Views], options: CalibrationOptions
-) -> Minimisation:
-    return minimise_many_frames(
-        graph,
-        start,
-        shared_keys(views, options),
-        eps=options.eps,
-        max_iterations=options.max_iterations,
-        least_gain=_LEAST_GAIN,
-    )
 
 
 def whiteness(freed: Adjusted, fit: MocapNoiseFit, motion: RefMotion, options: CalibrationOptions) -> Whiteness:

@@ -127,15 +127,11 @@ _LARGEST_DAMPING = 1e9
 
 @dataclass(frozen=True)
 class Minimisation:
-    """Where the minimisation ended, and the graph's error at its start and after each iteration.
-
-    stuck: it ended in steps that damping had made short, at a wall (corners that leave the field of view) and not in a
-        valley."""
+    """Where the minimisation ended, and the graph's error at its start and after each iteration."""
 
     values: gtsam.Values
     errors: tuple[float, ...]
     converged: bool
-    stuck: bool = False
 
     @property
     def iterations(self) -> int:

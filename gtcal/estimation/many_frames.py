@@ -15,7 +15,7 @@ from gtcal.errors import GtcalError
 from gtcal.estimation.graph import Minimisation
 from gtcal.estimation.marginals import shared_information
 
-_FIRST_DAMPING, _LARGEST_DAMPING, _SHORT_STEPS_DAMPING = 1e-5, 1e9, 1e-2
+_FIRST_DAMPING, _LARGEST_DAMPING = 1e-5, 1e9
 _FACTOR = 10.0
 _SMALLEST_DIAGONAL, _LARGEST_DIAGONAL = 1e-6, 1e32  # as in GTSAM
 
@@ -37,8 +37,7 @@ def minimise_many_frames(
         values, error, damping = _iteration(graph, values, errors[-1], shared, damping)
         errors.append(error)
         converged = not errors[-2] - errors[-1] >= min(eps * (1.0 + errors[-1]), least_gain)
-    finite = bool(np.isfinite(errors[-1]))
-    return Minimisation(values, tuple(errors), converged and finite, damping > _SHORT_STEPS_DAMPING)
+    return Minimisation(values, tuple(errors), converged and bool(np.isfinite(errors[-1])))
 
 
 def _iteration(
