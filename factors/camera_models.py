@@ -103,9 +103,7 @@ def field_limit(model_id: int, theta: FloatArray) -> float:
 
 
 @inlined
-def _beyond(
-    model_id: int, theta: FloatArray, limit: float, angle: float
-) -> tuple[float, float, float, float]:
+def _beyond(model_id: int, theta: FloatArray, limit: float, angle: float) -> tuple[float, float, float, float]:
     """The radial function continued past the field's end at ``limit``, as a function of the angle off the axis.
 
     Returns its value, its slope by the angle, and two derivatives by the i-th radial coefficient, over
@@ -475,6 +473,12 @@ def _project_points(
 
 
 @kernel
+def _radial_slopes(model_id: int, theta: FloatArray, radii: FloatArray, slopes: FloatArray) -> None:
+    for i in range(len(radii)):
+        slopes[i] = _radial_slope(model_id, theta, radii[i])
+
+
+@kernel
 def _unproject_pixels(
     model_id: int, theta: FloatArray, pixels_px: FloatArray, bearings: FloatArray, valid: BoolArray
 ) -> None:
@@ -539,6 +543,19 @@ class CameraModel:
         bearings, valid = np.empty((len(pixels), 3)), np.empty(len(pixels), dtype=np.bool_)
         _unproject_pixels(self.model_id, parameters, pixels, bearings, valid)
         return bearings, valid
+
+    def radial_slopes(self, bearings: npt.ArrayLike, theta: npt.ArrayLike) -> FloatArray:
+        """(N,) slope of the radial function at bearings or points (N, 3) of the valid field: 1 on the axis, 0 at the
+        field's end, where a pixel no longer tells the angle. NaN for a bearing that is.
+
+        Raises ValueError for arrays of another shape."""
+        points, parameters = _rows(bearings, 3, "bearings"), self.as_theta(theta)
+        off_axis = np.hypot(points[:, 0], points[:, 1])
+        with np.errstate(divide="ignore", invalid="ignore"):
+            radii = off_axis / points[:, 2] if self.model_id == _PINHOLE else np.arctan2(off_axis, points[:, 2])
+        slopes = np.empty(len(points))
+        _radial_slopes(self.model_id, parameters, radii, slopes)
+        return slopes
 
     def max_angle_rad(self, theta: npt.ArrayLike) -> float:
         """Half angle of the valid field: no point further off the axis has a pixel."""

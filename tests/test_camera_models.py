@@ -234,6 +234,23 @@ def test_the_field_ends_at_the_first_root_of_the_slope(model: CameraModel) -> No
     assert n_ends > 50
 
 
+@every_camera
+def test_the_radial_slope_is_what_a_pixel_moves(label: str) -> None:
+    model, theta = camera(label)
+    pure = np.where([name[0] in "fck" for name in model.parameter_names], theta, 0.0)  # on the axis, no tangential part
+    angles = np.linspace(0.01, 0.98, 40) * min(model.max_angle_rad(pure), 1.2)
+    radii = np.tan(angles) if model is PINHOLE_RADTAN else angles
+
+    def distance(radius: np.ndarray) -> np.ndarray:
+        points = off_axis(np.arctan(radius) if model is PINHOLE_RADTAN else radius, 1)
+        return np.hypot(*((model.project(points, pure)[0] - pure[2:4]) / pure[:2]).T)
+
+    expected = (distance(radii + 1e-6) - distance(radii - 1e-6)) / 2e-6
+    np.testing.assert_allclose(model.radial_slopes(off_axis(angles, 1), theta), expected, rtol=1e-6, atol=1e-6)
+    np.testing.assert_array_equal(model.radial_slopes([[0.0, 0.0, 3.0]], theta), [1.0])
+    assert np.isnan(model.radial_slopes([[np.nan] * 3], theta)).all()
+
+
 def test_the_field_of_the_quest_3() -> None:
     limit = FISHEYE62.max_angle_rad(QUEST3_RIGHT)
     assert np.degrees(limit) == pytest.approx(89.5635, abs=5e-5)

@@ -66,7 +66,7 @@ def adjust(
     errors: tuple[float, ...] = ()
     for done in range(MAX_ROUNDS):
         progress("stage 3: pixels", done, MAX_ROUNDS)
-        estimate, found = _minimised(screened, estimate, sigma_px, options)
+        estimate, found = minimised(screened, estimate, sigma_px, options)
         errors += tuple(sigma_px**2 * error for error in (found[1:] if errors else found))
         before = screened, sigma_px
         screened = _screened(views, estimate, options)
@@ -83,7 +83,7 @@ def _graduated(screened: Screened, start: Estimate, options: CalibrationOptions)
     sigma_px = _sigma_px(screened, options)
     while widest_px > options.robust.parameter * sigma_px:
         kernel = RobustKernel(options.robust.name, widest_px / sigma_px)
-        estimate, _ = _minimised(screened, estimate, sigma_px, replace(options, robust=kernel, graduated=False))
+        estimate, _ = minimised(screened, estimate, sigma_px, replace(options, robust=kernel, graduated=False))
         sigma_px = _sigma_px(screened.under(estimate), options)
         widest_px /= NARROWING
     return estimate
@@ -116,9 +116,11 @@ def _screened(views: Mapping[str, Views], estimate: Estimate, options: Calibrati
     return screen(views, estimate) if options.screen else keep_all(views, estimate)
 
 
-def _minimised(
+def minimised(
     screened: Screened, estimate: Estimate, sigma_px: float, options: CalibrationOptions
 ) -> tuple[Estimate, tuple[float, ...]]:
+    """Where the corners' reprojection error is least, from an estimate, and the graph's error at the start and after
+    each iteration."""
     found = minimise(
         _graph(screened, estimate, sigma_px, options),
         to_values(estimate, with_theta=options.refine_intrinsics),

@@ -15,6 +15,7 @@ from gtcal.estimation.choice import choose
 from gtcal.estimation.clustered import by_noise_model, clustered
 from gtcal.estimation.errors_in_variables import GROSS, model_mocap_noise, whiteness
 from gtcal.estimation.estimate import Estimate
+from gtcal.estimation.field_edge import without_edge
 from gtcal.estimation.held_intrinsics import with_held_intrinsics
 from gtcal.estimation.mocap_noise import MocapNoiseModel
 from gtcal.estimation.motion import check_turning, turning
@@ -46,7 +47,8 @@ LOOSE, LOOSE_PX = 5.0, 1.0
 """How many times worse the corners fit in the chain than with a pose of each view's own, and how badly, to warn of."""
 
 MANY_DROPPED, SOME_DROPPED = 0.25, 0.05
-"""Shares of gross views that an operator should hear of: that contradict the chain, and that noise does not explain."""
+"""Shares of gross views that an operator should hear of: that contradict the chain, and that noise does not explain.
+The second by two sigma of the count: of few views one or two are no share."""
 
 _MIN_VIEWS = 3
 
@@ -79,6 +81,7 @@ def calibrate_observations(
     where no chain fits."""
     started = time.perf_counter()
     options = options or CalibrationOptions()
+    observations = without_edge(observations) if options.screen else observations
     views = observations.views
     _check_enough(views, options)
     _motion_warnings(views, options)
@@ -190,16 +193,16 @@ def _weakness_warnings(
 
 def _gross_warnings(dropped: tuple[Dropped, ...], observations: Observations) -> tuple[str, ...]:
     """Stage 4 may leave views out, but not in silence."""
-    shares = {
-        drop.camera: drop.n_views / observations.views[drop.camera].n_views
+    counts = {
+        drop.camera: (drop.n_views, observations.views[drop.camera].n_views)
         for drop in pooled(dropped)
         if drop.reason == GROSS
     }
     return tuple(
-        f"camera {name!r}: {share:.0%} of its views were left out, off by more than the noise of the mocap explains; "
-        "a body that slips or is mistaken looks like that"
-        for name, share in shares.items()
-        if share > SOME_DROPPED
+        f"camera {name!r}: {n_gross / n:.0%} of its views were left out, off by more than the noise of the mocap "
+        "explains; a body that slips or is mistaken looks like that"
+        for name, (n_gross, n) in counts.items()
+        if n_gross > SOME_DROPPED * n + 2.0 * np.sqrt(SOME_DROPPED * n)
     )
 
 
