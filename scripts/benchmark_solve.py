@@ -51,7 +51,7 @@ BOARD = {
     "tag_side_m": 0.055,
     "tag_spacing": 0.3,
 }
-OPTIONS = CalibrationOptions()
+OPTIONS = CalibrationOptions(intrinsics="exact")
 GROWTH_FRAMES = (250, 1_000, 4_000, 16_000)
 FRAME_RATE_HZ = 30.0
 PER_CORNER_VIEWS = 10  # of each camera

@@ -57,7 +57,7 @@ def outcome(run: Run) -> tuple[float, float]:
     """Mean error of the cameras' positions in mm, and the NEES per degree of freedom; infinite where refused."""
     corners = CornerNoise(wrong_corner_share=run.share)
     simulation = simulate(SimulationOptions(corners=corners, swap_share=0.5 * run.share, n_frames=60), seed=run.seed)
-    options = CalibrationOptions(allow_degenerate=True, **METHODS[run.method])
+    options = CalibrationOptions(intrinsics="exact", allow_degenerate=True, **METHODS[run.method])
     try:
         found = calibrate_observations(synchronise(simulation.recording), options)
     except GtcalError:

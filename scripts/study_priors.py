@@ -49,7 +49,7 @@ def outcome(run: Run) -> tuple[float, float, float, bool]:
     """Errors of the board and, on average, of the cameras in mm; NEES of the board; whether it was warned of."""
     simulation = simulate(SimulationOptions(n_frames=40, motion=MOTIONS[run.motion], mocap=NOISE), seed=run.seed)
     truth = simulation.truth
-    options = CalibrationOptions(priors=_prior(run, truth.body_T_board), allow_degenerate=True)
+    options = CalibrationOptions(intrinsics="exact", priors=_prior(run, truth.body_T_board), allow_degenerate=True)
     found = calibrate_observations(synchronise(simulation.recording), options)
     board = found.body_T_board
     cameras_mm = [

@@ -247,7 +247,7 @@ def test_a_board_of_another_shape_is_sized(name: str, move_m: Callable[..., np.n
         for camera, of_camera in given.views.items()
     }
     spoilt = replace(given, views=views)
-    found, _ = find_effects(calibrate_observations(spoilt), spoilt, CalibrationOptions())
+    found = find_effects(calibrate_observations(spoilt), spoilt, CalibrationOptions()).effects
     wanted = {finding.name: finding for finding in found if finding.significant}
     (share,) = wanted[name].estimate
     assert share.value == pytest.approx(size, rel=0.1)

@@ -35,7 +35,7 @@ def calibrate(
     *,
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("calibration.json"),
     report: Path | None = None,
-    intrinsics: Literal["exact", "fixed", "auto", "refine", "calibrate", "calibrate+refine"] = "exact",
+    intrinsics: Literal["exact", "fixed", "auto", "refine", "calibrate", "calibrate+refine"] = "auto",
     calibrate_intrinsics: bool = False,
     refine_intrinsics: bool = False,
     intrinsics_prior: Literal["weak", "stated"] = "weak",
@@ -80,8 +80,9 @@ def calibrate(
             as parameter_sigmas, else 0.3 % of the focal length and 3 px, what real factory values are off by); found
             first where the manifest states none. 'fixed': held at the manifest's values, whose sigmas count in the
             covariance. 'exact': held and taken for known exactly, as in the paper. 'refine': solved for jointly under
-            --intrinsics-prior. 'calibrate': found first, by a plain calibration from the views, then held;
-            'calibrate+refine': found first, then solved for jointly; the manifest's values are not used.
+            --intrinsics-prior. 'calibrate': found first, by a plain calibration from the views, then solved for
+            jointly near what was found; 'calibrate+refine': found first, then as 'refine'. The manifest's values are
+            not used by these two.
         calibrate_intrinsics: Short for --intrinsics calibrate; with the next, for 'calibrate+refine'.
         refine_intrinsics: Short for --intrinsics refine.
         intrinsics_prior: Where they are refined. 'weak': the paper's prior (principal point to the image centre,
@@ -177,7 +178,7 @@ def intrinsics_mode(stated: IntrinsicsMode, *, calibrate: bool, refine: bool) ->
         (True, True): "calibrate+refine",
     }
     short = asked.get((calibrate, refine), stated)
-    if stated not in ("exact", short):
+    if stated not in ("auto", short):
         raise GtcalError(f"--intrinsics {stated} and the short forms for {short} contradict each other: give one")
     return short
 

@@ -64,7 +64,7 @@ def compare(
         if prior is None:
             raise GtcalError(f"{measured_x}: states no body_T_board, which Sturm's method needs")
         body_T_board = prior.a_T_b
-    mode: IntrinsicsMode = "calibrate" if calibrate_intrinsics else "exact"
+    mode: IntrinsicsMode = "calibrate" if calibrate_intrinsics else "auto"
     options = CalibrationOptions(intrinsics=mode, clock=clock, seed=seed)
     loaded = load_recording(recording)
     device = load_lollypop_recording(lollypop) if lollypop is not None else None

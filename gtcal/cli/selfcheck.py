@@ -55,7 +55,7 @@ def selfcheck(
     from gtcal.selfchecks.selfcheck import selfcheck as run
     from gtcal.selfchecks.selfcheck_file import write_selfcheck
 
-    mode = intrinsics_mode("exact", calibrate=calibrate_intrinsics, refine=refine_intrinsics)
+    mode = intrinsics_mode("auto", calibrate=calibrate_intrinsics, refine=refine_intrinsics)
     options = CalibrationOptions(intrinsics=mode, mocap=mocap_noise, clock=clock, seed=seed)
     with shown_progress(quiet) as progress:
         found = run(load_recording(recording), options, n_folds=folds, progress=progress)

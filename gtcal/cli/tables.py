@@ -13,7 +13,7 @@ from rich.text import Text
 from factors.rigid import inverse
 from gtcal.camera import FloatArray
 from gtcal.recordings.recording import Recording
-from gtcal.results.calibration import Calibration, StageReport, pose_difference
+from gtcal.results.calibration import Calibration, CameraCalibration, StageReport, pose_difference
 from gtcal.results.covariance import CLUSTERED, ERRORS_IN_VARIABLES, NAIVE
 from gtcal.results.effect_finding import EffectFinding
 from gtcal.simulation import GroundTruth
@@ -29,7 +29,7 @@ _COVARIANCES = {
 def print_calibration(calibration: Calibration, *, notes: Sequence[str] = (), verbose: bool = False) -> None:
     """Print fit, poses and warnings; ``verbose`` adds the stages, what was left out and why, and
     the effects that the data do not want."""
-    parts: list[RenderableType] = [fit_table(calibration), pose_table(calibration)]
+    parts: list[RenderableType] = [fit_table(calibration), pose_table(calibration), *lens_tables(calibration)]
     if verbose:
         parts += [stage_table(calibration.stages), *_dropped_lines(calibration), *_lacking_lines(calibration)]
     shown = [finding for finding in calibration.effects if finding.significant or verbose]
@@ -69,6 +69,39 @@ def pose_table(calibration: Calibration) -> Table:
     sigmas = _largest(pose.position_of_b_in_a_sigma_mm, 3), _largest(pose.rotation_sigma_deg, 4)
     table.add_row("board", _vector(1e3 * pose.a_T_b[:3, 3]), "body", *sigmas)
     return table
+
+
+def lens_tables(calibration: Calibration) -> list[Table]:
+    """A row per camera whose intrinsics were solved for; no table where none were."""
+    found = {name: camera for name, camera in calibration.cameras.items() if camera.theta_covariance is not None}
+    if not found:
+        return []
+    table = new_table(
+        "intrinsics that were solved for",
+        caption="moved: from what was known beforehand, by the group of intrinsics that moved most (f focal length, "
+        "c principal point, d distortion), in sigmas of that; px, mm: the most that a pixel of the image and the "
+        "camera moved by one group",
+    )
+    for heading in ("fx", "fy", "± px", "cx", "cy", "± px", "moved", "px", "mm"):
+        table.add_column(heading, justify="right")
+    for name, camera in found.items():
+        theta, sigmas = camera.camera.theta, camera.camera_with_sigmas.theta_sigmas
+        assert sigmas is not None  # solved for
+        numbers = (*theta[:2], sigmas[:2].max(), *theta[2:4], sigmas[2:4].max())
+        table.add_row(name, *(f"{number:.2f}" for number in numbers), *_moved(camera))
+    return [table]
+
+
+_GROUP_LETTERS = {"focal length": "f", "principal point": "c", "distortion": "d"}
+
+
+def _moved(camera: CameraCalibration) -> tuple[str, str, str]:
+    moves = camera.lens_moves
+    if not moves:
+        return "-", "-", "-"
+    far = max(moves, key=lambda move: move.sigmas)
+    largest_px, largest_mm = max(move.largest_px for move in moves), max(move.camera_mm for move in moves)
+    return f"{_GROUP_LETTERS[far.group]} {far.sigmas:.1f}", f"{largest_px:.2f}", f"{largest_mm:.2f}"
 
 
 def effect_table(findings: Sequence[EffectFinding]) -> Table:

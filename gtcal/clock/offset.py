@@ -18,7 +18,7 @@ from gtcal.camera import FloatArray
 from gtcal.clock.local_motion import parabolas
 from gtcal.clock.rolling_shutter import readout_columns_px_per_s
 from gtcal.errors import GtcalError
-from gtcal.estimation.clustered import clustered_covariance
+from gtcal.estimation.clustered import Priors, clustered_covariance
 from gtcal.estimation.errors_in_variables import prior_information
 from gtcal.estimation.frame_statistics import FrameMoments, eliminate_noise, frames_of, in_parts
 from gtcal.estimation.mocap_noise import MocapNoiseModel, lower_factors
@@ -59,7 +59,11 @@ def remaining_offset(
     if solution is None:
         raise GtcalError("a calibration that was read from a file keeps no views to test the clock with")
     views = solution.views
-    information = _widened(prior_information(views, solution.estimate, options), len(readouts) + 1 + drift)
+    weight = solution.lens_weight
+    information, scatter = (
+        _widened(prior_information(views, solution.estimate, options, w), len(readouts) + 1 + drift)
+        for w in (weight, weight**2)
+    )
     parts = [
         _with_clock(part, motion, middle_ns(views), drift=drift)
         for part in _parts(calibration, motion, options, readouts)
@@ -68,7 +72,7 @@ def remaining_offset(
     if noise is not None and noise.stage == 4:
         solved, covariance = _with_noise(parts, information, noise_model(noise), motion)
     else:
-        solved, covariance = _as_they_scatter(parts, information, noise.correlation_s if noise else 0.0)
+        solved, covariance = _as_they_scatter(parts, information, scatter, noise.correlation_s if noise else 0.0)
     first = len(solved) - 1 - drift
     sigmas = np.sqrt(np.diag(covariance))
     of_readouts = range(first - len(readouts), first)
@@ -173,11 +177,12 @@ def _with_noise(
 
 
 def _as_they_scatter(
-    parts: list[FrameMoments], information: FloatArray, correlation_s: float
+    parts: list[FrameMoments], information: FloatArray, scatter: FloatArray, correlation_s: float
 ) -> tuple[FloatArray, FloatArray]:
+    priors = Priors(information[:-1, :-1], scatter[:-1, :-1])
     whole = information + np.sum([part.exact.sum(axis=0) for part in parts], axis=0)
     try:
-        return _solved(whole), clustered_covariance(parts, information, correlation_s)
+        return _solved(whole), clustered_covariance(parts, priors, correlation_s)
     except np.linalg.LinAlgError:
         return _solved(whole), np.full(whole[:-1, :-1].shape, np.nan)
 

@@ -38,7 +38,7 @@ def looks_wrong(calibration: Calibration) -> bool:
     pose of their own, or none in the chain, or many of them were left out."""
     names = [report.name for report in calibration.stages]
     stages = calibration.stages[names.index("PnP") :]
-    if not stages[0].median_px < ALONE_PX or fit_warnings(stages):
+    if not stages[0].median_px < ALONE_PX or fit_warnings(stages, calibration.mocap_noise):
         return True
     kept = {name: camera.residuals.n_views for name, camera in calibration.cameras.items()}
     gross = {drop.camera: drop.n_views for drop in calibration.dropped if drop.reason == GROSS_VIEW}

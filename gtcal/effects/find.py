@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -20,7 +20,7 @@ from gtcal.estimation.estimate import Estimate
 from gtcal.estimation.mocap_noise import MocapNoiseModel, Whiteness
 from gtcal.estimation.observations import Observations
 from gtcal.estimation.options import CalibrationOptions, MocapSigmas
-from gtcal.results.calibration import Calibration, MocapNoise, PoseEstimate
+from gtcal.results.calibration import Calibration, MocapNoise, pose_moved
 from gtcal.results.effect_finding import EffectFinding
 
 FALSE_ALARMS = 0.01
@@ -31,12 +31,30 @@ TESTED_ELSEWHERE = "clock offset"
 
 
 def with_effects(calibration: Calibration, observations: Observations, options: CalibrationOptions) -> Calibration:
-    """The calibration with what else the data want, and a warning for each that is no chance.
+    """The calibration with what else the data want, and a warning for each that is no chance; by how much the estimate
+    would move if these were let in is in its covariance, for so far is it off.
 
     observations: those that it was computed from. Where the mocap was taken as exact, or its noise could not be told,
     nothing is looked for: significance needs a noise."""
-    found, _ = find_effects(calibration, observations, options)
-    return replace(calibration, effects=found, warnings=(*calibration.warnings, *effect_warnings(found)))
+    found = find_effects(calibration, observations, options)
+    with_doubt = calibration
+    if calibration.covariance is not None and len(found.left_out):
+        joint = calibration.covariance
+        with_doubt = calibration.with_covariance(
+            replace(joint, matrix=joint.matrix + found.left_out.T @ found.left_out)
+        )
+    warnings = (*calibration.warnings, *effect_warnings(found.effects))
+    return replace(with_doubt, effects=found.effects, warnings=warnings)
+
+
+@dataclass(frozen=True)
+class FoundEffects:
+    """effects: those that move a camera most first. changes: among them, in order of time. left_out: (s, P) by how much
+    the unknowns of a ``JointCovariance`` would move with each of the s effects that are no chance."""
+
+    effects: tuple[EffectFinding, ...]
+    changes: tuple[ChangePoint, ...]
+    left_out: FloatArray
 
 
 def effect_warnings(found: Sequence[EffectFinding]) -> tuple[str, ...]:
@@ -60,20 +78,21 @@ def find_effects(
     options: CalibrationOptions,
     *,
     more: Sequence[Effect] = (),
-) -> tuple[tuple[EffectFinding, ...], tuple[ChangePoint, ...]]:
-    """All effects, those that move a camera most first, and the changes among them; ``more``: the caller's own."""
+) -> FoundEffects:
+    """All effects; ``more``: the caller's own."""
+    nothing = FoundEffects((), (), np.zeros((0, 0)))
     try:
-        return _found(calibration, observations, options, more)
+        return _found(calibration, observations, options, more) or nothing
     except np.linalg.LinAlgError:  # a direction that the data leave open, which other warnings name
-        return (), ()
+        return nothing
 
 
 def _found(
     calibration: Calibration, observations: Observations, options: CalibrationOptions, more: Sequence[Effect]
-) -> tuple[tuple[EffectFinding, ...], tuple[ChangePoint, ...]]:
+) -> FoundEffects | None:
     frames = frames_of(calibration, observations, options)
     if frames is None:
-        return (), ()
+        return None
     frames, changes = find_changes(frames, level=0.5 * FALSE_ALARMS)
     lasting = (*lasting_effects(frames, options), *more)
     effects: list[Effect] = [*changes, *map(LensAfter, changes), *lasting]
@@ -81,14 +100,17 @@ def _found(
     tests |= {index: 2.0 * len(lasting) for index in range(2 * len(changes), len(effects))}
     sums = Sums.of(frames, effects)
     let_in = _let_in(sums, tests, range(2 * len(changes)))
-    found = []
+    found, left_out = [], []
     for index, count in tests.items():
         is_change = index < len(changes)
         given = others_of(index, len(changes)) if is_change else [other for other in let_in if other != index]
         evidence = sums.evidence(index, given, from_stated=is_change)
-        found.append(_finding(effects[index], evidence, calibration.estimate, count))
-    found = [finding for finding in found if finding.is_finite]
-    return tuple(sorted(found, key=lambda finding: (not finding.significant, -finding.largest_move_mm))), changes
+        finding = _finding(effects[index], evidence, calibration.estimate, count)
+        if finding.is_finite:
+            found.append(finding)
+            left_out += [evidence.shift] if finding.significant else []
+    found.sort(key=lambda finding: (not finding.significant, -finding.largest_move_mm))
+    return FoundEffects(tuple(found), changes, np.array(left_out).reshape(len(left_out), len(frames.free)))
 
 
 def frames_of(calibration: Calibration, observations: Observations, options: CalibrationOptions) -> Frames | None:
@@ -137,7 +159,7 @@ def lasting_effects(frames: Frames, options: CalibrationOptions) -> list[Effect]
 
 def _finding(effect: Effect, evidence: Evidence, estimate: Estimate, tests: float) -> EffectFinding:
     p_value = min(tests * evidence.p_value, 1.0)
-    moved = {name: _moved(estimate.camera_T_ref[name], xi) for name, xi in evidence.moves.items()}
+    moved = {name: pose_moved(estimate.camera_T_ref[name], xi) for name, xi in evidence.moves.items()}
     return EffectFinding(
         name=effect.name,
         what=effect.what,
@@ -150,9 +172,3 @@ def _finding(effect: Effect, evidence: Evidence, estimate: Estimate, tests: floa
         advice=effect.advice,
         moment=effect.moment,
     )
-
-
-def _moved(camera_T_ref: FloatArray, xi: FloatArray) -> tuple[float, float]:
-    """How far, in mm and deg, a camera's position in ref moves with camera_T_ref * Exp(xi)."""
-    position_m = PoseEstimate(camera_T_ref, None).position_of_a_in_b_m
-    return float(1e3 * np.linalg.norm(np.cross(position_m, xi[:3]) - xi[3:])), float(np.rad2deg(np.linalg.norm(xi[:3])))

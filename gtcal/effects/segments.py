@@ -18,7 +18,7 @@ from factors.rigid import inverse
 from gtcal.camera import FloatArray
 from gtcal.effects.change_points import ChangePoint, parts
 from gtcal.effects.evidence import Sums
-from gtcal.effects.find import effect_warnings, find_effects, frames_of
+from gtcal.effects.find import effect_warnings, find_effects, frames_of, with_effects
 from gtcal.effects.frames import Frames
 from gtcal.estimation.estimate import Estimate
 from gtcal.estimation.mocap_noise import adjoint
@@ -72,13 +72,14 @@ def in_segments(
     """The calibration with what else the data want; where something moved, with a ``Segment`` for each stretch.
 
     observations: those that it was computed from. solve: calibrates observations."""
-    found, changes = find_effects(calibration, observations, options)
-    if not changes:
-        return replace(calibration, effects=found, warnings=(*calibration.warnings, *effect_warnings(found)))
+    found = find_effects(calibration, observations, options)
+    if not found.changes:
+        return with_effects(calibration, observations, options)
+    changes = found.changes
     cameras, slips = _sorted_out(changes)
     split = _split(observations, cameras)
     settled = _settled(split, _Slips(slips, np.tile(np.eye(4), (len(slips), 1, 1))), options, solve)
-    effects = _effects(found, settled, options, tuple(calibration.cameras))
+    effects = _effects(found.effects, settled, options, tuple(calibration.cameras))
     segments = _segments(settled, changes, observations)
     merged = _merged(settled.calibration, tuple(calibration.cameras))
     return replace(
@@ -213,7 +214,7 @@ def _effects(
         for finding in found
         if finding.moment
     ]
-    rest = find_effects(settled.calibration, settled.observations, options)[0]
+    rest = find_effects(settled.calibration, settled.observations, options).effects
     return tuple(
         replace(
             finding,

@@ -46,7 +46,8 @@ class Adjusted:
 
     graph, values: of the last round, with the final sigma. errors: the graph's error from round to round, times the
         square of the round's sigma so that they compare: px^2, halved.
-    screened: the views and corners that were used."""
+    screened: the views and corners that were used.
+    lens_weight: how many times their information the priors of stated intrinsics count (``lens_weight``)."""
 
     estimate: Estimate
     sigma_px: float
@@ -54,19 +55,25 @@ class Adjusted:
     graph: gtsam.NonlinearFactorGraph
     values: gtsam.Values
     errors: tuple[float, ...]
+    lens_weight: float = 1.0
 
 
 def adjust(
-    views: Mapping[str, Views], start: Estimate, options: CalibrationOptions, progress: Progress = silent
+    views: Mapping[str, Views],
+    start: Estimate,
+    options: CalibrationOptions,
+    progress: Progress = silent,
+    *,
+    lens_weight: float = 1.0,
 ) -> Adjusted:
-    """Screen and solve in turns, until the same corners stay."""
+    """Screen and solve in turns, until the same corners stay. lens_weight: see ``Adjusted``."""
     screened = _screened(views, start, options)
     estimate = _graduated(screened, start, options) if options.graduated else start
     sigma_px = _sigma_px(screened.under(estimate), options)
     errors: tuple[float, ...] = ()
     for done in range(MAX_ROUNDS):
         progress("stage 3: pixels", done, MAX_ROUNDS)
-        estimate, found = minimised(screened, estimate, sigma_px, options)
+        estimate, found = minimised(screened, estimate, sigma_px, options, lens_weight)
         errors += tuple(sigma_px**2 * error for error in (found[1:] if errors else found))
         before = screened, sigma_px
         screened = _screened(views, estimate, options)
@@ -74,7 +81,7 @@ def adjust(
         if screened.same_as(before[0]) and _settled(before[1], sigma_px, options):
             break
     progress("stage 3: pixels", MAX_ROUNDS, MAX_ROUNDS)
-    return _adjusted(screened, estimate, sigma_px, options, errors)
+    return _adjusted(screened, estimate, sigma_px, options, errors, lens_weight)
 
 
 def _graduated(screened: Screened, start: Estimate, options: CalibrationOptions) -> Estimate:
@@ -106,10 +113,11 @@ def _adjusted(
     sigma_px: float,
     options: CalibrationOptions,
     errors: tuple[float, ...],
+    lens_weight: float = 1.0,
 ) -> Adjusted:
-    graph = _graph(screened, estimate, sigma_px, options)
+    graph = _graph(screened, estimate, sigma_px, options, lens_weight)
     values = to_values(estimate, with_theta=options.refine_intrinsics)
-    return Adjusted(estimate, sigma_px, screened, graph, values, errors)
+    return Adjusted(estimate, sigma_px, screened, graph, values, errors, lens_weight)
 
 
 def _screened(views: Mapping[str, Views], estimate: Estimate, options: CalibrationOptions) -> Screened:
@@ -117,12 +125,12 @@ def _screened(views: Mapping[str, Views], estimate: Estimate, options: Calibrati
 
 
 def minimised(
-    screened: Screened, estimate: Estimate, sigma_px: float, options: CalibrationOptions
+    screened: Screened, estimate: Estimate, sigma_px: float, options: CalibrationOptions, lens_weight: float = 1.0
 ) -> tuple[Estimate, tuple[float, ...]]:
     """Where the corners' reprojection error is least, from an estimate, and the graph's error at the start and after
     each iteration."""
     found = minimise(
-        _graph(screened, estimate, sigma_px, options),
+        _graph(screened, estimate, sigma_px, options, lens_weight),
         to_values(estimate, with_theta=options.refine_intrinsics),
         eps=options.eps,
         max_iterations=options.max_iterations,
@@ -131,9 +139,9 @@ def minimised(
 
 
 def _graph(
-    screened: Screened, estimate: Estimate, sigma_px: float, options: CalibrationOptions
+    screened: Screened, estimate: Estimate, sigma_px: float, options: CalibrationOptions, lens_weight: float
 ) -> gtsam.NonlinearFactorGraph:
-    priors = intrinsics_priors(screened.views, options) if options.refine_intrinsics else None
+    priors = intrinsics_priors(screened.views, options, lens_weight) if options.refine_intrinsics else None
     graph = reprojection_graph(
         screened.views, estimate, sigma_px=sigma_px, robust=options.robust, intrinsics_priors=priors
     )
@@ -148,15 +156,17 @@ def add_user_priors(graph: gtsam.NonlinearFactorGraph, views: Mapping[str, Views
         graph.add(factor)
 
 
-def intrinsics_priors(views: Mapping[str, Views], options: CalibrationOptions) -> dict[str, IntrinsicsPrior]:
-    """What the options say of each camera's intrinsics."""
-    return {name: _prior(of_camera, options) for name, of_camera in views.items()}
+def intrinsics_priors(
+    views: Mapping[str, Views], options: CalibrationOptions, lens_weight: float = 1.0
+) -> dict[str, IntrinsicsPrior]:
+    """What the options say of each camera's intrinsics; of stated ones ``lens_weight`` times their information."""
+    return {name: _prior(of_camera, options, lens_weight) for name, of_camera in views.items()}
 
 
-def _prior(views: Views, options: CalibrationOptions) -> IntrinsicsPrior:
-    if options.intrinsics != "auto" and options.intrinsics_prior == "weak":
+def _prior(views: Views, options: CalibrationOptions, lens_weight: float) -> IntrinsicsPrior:
+    if not options.trusts_stated_intrinsics:
         return IntrinsicsPrior(None)
-    return IntrinsicsPrior(lens_sigmas(views.camera, options))
+    return IntrinsicsPrior(lens_sigmas(views.camera, options) / np.sqrt(lens_weight))
 
 
 def _sigma_px(screened: Screened, options: CalibrationOptions) -> float:

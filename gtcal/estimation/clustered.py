@@ -9,7 +9,8 @@ share it make one cluster. Few clusters fit their own estimate too well; the cor
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -29,6 +30,7 @@ MOST_CORRECTED = 300
 """Clusters up to which each is corrected by its own leverage; beyond, that no longer matters."""
 
 _CORRELATION_TIMES = 3.0
+_WEIGHT_ROUNDS = 4
 _LARGEST_LEVERAGE = 0.99
 
 
@@ -38,21 +40,78 @@ def clustered(
     """The covariance of stage 3's estimate, by its kind; none where the clusters are fewer than the unknowns need.
 
     sizes: by camera, the number of its intrinsics that were solved for."""
-    views, estimate = adjusted.screened.views, adjusted.estimate
-    frames = frames_of(views)
-    information = prior_information(views, estimate, options)
-    parts = in_parts(
-        views,
-        estimate,
-        frames,
+    priors = Priors.of(adjusted, options)
+    if clusters(stamps_of(adjusted.screened.views), correlation_s)[-1] <= len(priors.information):
+        return {}
+    matrix = clustered_covariance(_parts(adjusted, options), priors, correlation_s)
+    return {CLUSTERED: JointCovariance(CLUSTERED, sizes, matrix)}
+
+
+def by_one_factor(
+    adjusted: Adjusted, options: CalibrationOptions, correlation_s: float, *, sizes: dict[str, int]
+) -> JointCovariance:
+    """The covariance of stage 3's estimate where the clusters are too few to show how each unknown scatters: all of the
+    corners' information is too large by one factor, that of all unknowns together (the magnitude adjustment of
+    ``lens_weight``)."""
+    sums = _Sums.of(_parts(adjusted, options), correlation_s)
+    root, gradients = sums.white_gradients(Priors.of(adjusted, options))
+    factor = max(1.0, float(np.sum(gradients**2) / np.trace(root @ sums.information @ root.T)))
+    known = Priors.of(adjusted, options, 1.0).information
+    return JointCovariance(CLUSTERED, sizes, scaled_inverse(sums.information / factor + known))
+
+
+@dataclass(frozen=True)
+class Priors:
+    """What is known beforehand. information: (P, P) as the estimate weighs it; scatter: (P, P) of its gradients, by
+    what is truly known: of the weight w that ``lens_weight`` gives the stated intrinsics, w and w^2 times theirs."""
+
+    information: FloatArray
+    scatter: FloatArray
+
+    @staticmethod
+    def of(adjusted: Adjusted, options: CalibrationOptions, lens_weight: float | None = None) -> Priors:
+        """Weighed as ``adjusted`` does, or by another weight."""
+        weight = adjusted.lens_weight if lens_weight is None else lens_weight
+        found = (
+            prior_information(adjusted.screened.views, adjusted.estimate, options, w)[:-1, :-1]
+            for w in (weight, weight**2)
+        )
+        return Priors(*found)
+
+
+def _parts(adjusted: Adjusted, options: CalibrationOptions) -> Iterator[FrameMoments]:
+    return in_parts(
+        adjusted.screened.views,
+        adjusted.estimate,
+        frames_of(adjusted.screened.views),
         sigma_px=adjusted.sigma_px,
         free_theta=options.refine_intrinsics,
         robust=options.robust,
     )
-    if clusters(stamps_of(views), correlation_s)[-1] < len(information):
-        return {}
-    matrix = clustered_covariance(parts, information, correlation_s)
-    return {CLUSTERED: JointCovariance(CLUSTERED, sizes, matrix)}
+
+
+def lens_weight(adjusted: Adjusted, options: CalibrationOptions, correlation_s: float) -> float:
+    """By how much the priors of stated intrinsics must count more in stage 3 than alone, at least 1.
+
+    Stage 3 takes all corners for independent; those of a frame are not, so that it believes too much in what they say
+    of a lens, and too little in what is stated. The corners' information is too large by the factor by which the
+    variance that frames show of the intrinsics exceeds what the corners claim: the magnitude adjustment of a composite
+    likelihood (Pauli, Racugno and Ventura 2011; Ribatet, Cooley and Davison 2012). Variances are summed in units of the
+    priors', so that what the data determine better than they need not be told counts little. As the weight sets what
+    the data have to determine, it is found in turns."""
+    sums = _Sums.of(_parts(adjusted, options), correlation_s)
+    first = 6 + 6 * len(adjusted.screened.views)
+    lens_information = Priors.of(adjusted, options, 2.0).information - Priors.of(adjusted, options, 1.0).information
+    weight = 1.0
+    for _ in range(_WEIGHT_ROUNDS):
+        priors = Priors.of(adjusted, options, weight)
+        root, gradients = sums.white_gradients(priors)
+        to_lens = root[:, first:]
+        shown = gradients @ to_lens
+        claimed = to_lens.T @ (root @ sums.information @ root.T) @ to_lens
+        unit = lens_information[first:, first:]
+        weight = max(1.0, float(np.sum(unit * (shown.T @ shown)) / np.sum(unit * claimed)))
+    return weight
 
 
 def by_noise_model(
@@ -64,12 +123,12 @@ def by_noise_model(
     moments = frame_moments(
         views, estimate, sigma_px=adjusted.sigma_px, free_theta=options.refine_intrinsics, robust=options.robust
     )
-    information = prior_information(views, estimate, options)[:-1, :-1]
-    H = moments.exact[:, :-1, :-1].sum(axis=0) + information
-    inverse = scaled_inverse(H)
+    priors = Priors.of(adjusted, options)
+    of_data = moments.exact[:, :-1, :-1].sum(axis=0)
+    inverse = scaled_inverse(of_data + priors.information)
     L = lower_factors(noise.covariance(motion, moments.stamps_ns))
     by_frame = np.swapaxes(L, 1, 2) @ moments.moments[:, :6, 6:-1]  # gradient of a unit of each frame's noise
-    scatter = H + _correlated_scatter(by_frame, noise.correlations(moments.stamps_ns))
+    scatter = of_data + priors.scatter + _correlated_scatter(by_frame, noise.correlations(moments.stamps_ns))
     matrix = noise.small_sample_factor * inverse @ scatter @ inverse
     return JointCovariance(CLUSTERED, sizes, 0.5 * (matrix + matrix.T))
 
@@ -99,24 +158,49 @@ def clusters(stamps_ns: IntArray, correlation_s: float) -> IntArray:
     return np.unique(span, return_inverse=True)[1]
 
 
-def clustered_covariance(parts: Iterable[FrameMoments], information: FloatArray, correlation_s: float) -> FloatArray:
+def clustered_covariance(parts: Iterable[FrameMoments], priors: Priors, correlation_s: float) -> FloatArray:
     """(P, P) covariance of stage 3's estimate, from the moments of all frames there, in parts one after the other.
-    information: (P + 1, P + 1) of the priors.
 
     Raises numpy.linalg.LinAlgError where the frames leave a direction open."""
-    sums = [_of_clusters(part, correlation_s) for part in parts]
-    H = np.sum([part[:, :-1, :-1].sum(axis=0) for part in sums], axis=0) + information[:-1, :-1]
-    gradients = np.concatenate([part[:, :-1, -1] for part in sums])
-    root = scaled_root(H)
-    gradients = gradients @ root.T
-    if len(gradients) <= MOST_CORRECTED:
-        leverage = np.concatenate([part[:, :-1, :-1] for part in sums])
-        gradients = _corrected(root @ leverage @ root.T, gradients)
-    else:
-        gradients *= np.sqrt(len(gradients) / (len(gradients) - 1))
+    root, gradients = _Sums.of(parts, correlation_s).white_gradients(priors)
     half = gradients @ root
-    by_priors = root.T @ root @ information[:-1, :-1] @ root.T @ root
-    return half.T @ half + by_priors
+    return half.T @ half + root.T @ root @ priors.scatter @ root.T @ root
+
+
+@dataclass(frozen=True)
+class _Sums:
+    """What the clusters say: information (P, P) of all, gradients (G, P) of each; and the information of each,
+    (G, P, P), where they are few."""
+
+    information: FloatArray
+    gradients: FloatArray
+    of_each: FloatArray | None
+
+    @staticmethod
+    def of(parts: Iterable[FrameMoments], correlation_s: float) -> _Sums:
+        information: list[FloatArray] = []
+        gradients: list[FloatArray] = []
+        of_each: list[FloatArray] = []
+        n_clusters = 0
+        for part in parts:
+            sums = _of_clusters(part, correlation_s)
+            n_clusters += len(sums)
+            information.append(sums[:, :-1, :-1].sum(axis=0))
+            gradients.append(sums[:, :-1, -1].copy())
+            of_each = [*of_each, sums[:, :-1, :-1]] if n_clusters <= MOST_CORRECTED else []
+        each = np.concatenate(of_each) if n_clusters <= MOST_CORRECTED else None
+        return _Sums(np.sum(information, axis=0), np.concatenate(gradients), each)
+
+    def white_gradients(self, priors: Priors) -> tuple[FloatArray, FloatArray]:
+        """R with R H R^T = I, H with the priors, and R g (G, P) of each cluster, corrected for how well it fits
+        itself.
+
+        Raises numpy.linalg.LinAlgError where the frames leave a direction open."""
+        root = scaled_root(self.information + priors.information)
+        gradients = self.gradients @ root.T
+        if self.of_each is not None:
+            return root, _corrected(root @ self.of_each @ root.T, gradients)
+        return root, gradients * np.sqrt(len(gradients) / (len(gradients) - 1))
 
 
 def _of_clusters(frames: FrameMoments, correlation_s: float) -> FloatArray:

@@ -71,7 +71,7 @@ def model_mocap_noise(
     second time with the noise that the first solution shows."""
     found: tuple[Adjusted, MocapNoiseFit] | None = None
     for _ in range(2 if options.refine_intrinsics else 1):
-        fitted = fit_mocap_noise(found[0] if found else adjusted, motion, options)
+        fitted = fit_mocap_noise(found[0] if found else adjusted, motion, options, of_stage_3=adjusted)
         if fitted is None:
             break
         screened, fit = fitted
@@ -82,13 +82,14 @@ def model_mocap_noise(
 
 
 def fit_mocap_noise(
-    adjusted: Adjusted, motion: RefMotion, options: CalibrationOptions
+    adjusted: Adjusted, motion: RefMotion, options: CalibrationOptions, *, of_stage_3: Adjusted | None = None
 ) -> tuple[Adjusted, MocapNoiseFit] | None:
-    """The noise of mocap and pixels at stage 3's estimate, and the views and corners less those of gross frames.
+    """The noise of mocap and pixels at an estimate, and the views and corners less those of gross frames; the hold-out
+    error is that of an estimate as stage 3 (this one, unless it is given) weighs what it knows.
 
     None where the frames are too few to estimate it from, or where gross views, corners or frames are to stay: noise
     does not explain them."""
-    views = adjusted.screened.views
+    views, of_stage_3 = adjusted.screened.views, of_stage_3 or adjusted
     if not options.screen and screen(views, adjusted.estimate).dropped(views):
         return None
     information = prior_information(views, adjusted.estimate, options)
@@ -115,6 +116,9 @@ def fit_mocap_noise(
         sigma_px=sample.sigma_px,
         free_theta=options.refine_intrinsics,
         information=information,
+        exact_information=prior_information(
+            views, adjusted.estimate, options, of_stage_3.lens_weight * (of_stage_3.sigma_px / sample.sigma_px) ** 2
+        ),
     )
     return adjusted, MocapNoiseFit(noise, sample.sigma_px, held_out, dropped, gross_share)
 
@@ -249,19 +253,24 @@ def _add_mocap(
             )
 
 
-def _priors(views: Mapping[str, Views], options: CalibrationOptions) -> gtsam.NonlinearFactorGraph:
+def _priors(
+    views: Mapping[str, Views], options: CalibrationOptions, lens_weight: float = 1.0
+) -> gtsam.NonlinearFactorGraph:
     graph = gtsam.NonlinearFactorGraph()
     if options.refine_intrinsics:
-        for index, (name, prior) in enumerate(intrinsics_priors(views, options).items()):
+        for index, (name, prior) in enumerate(intrinsics_priors(views, options, lens_weight).items()):
             graph.add(prior.factor(theta_key(index), views[name].camera))
     add_user_priors(graph, views, options)
     return graph
 
 
-def prior_information(views: Mapping[str, Views], estimate: Estimate, options: CalibrationOptions) -> FloatArray:
-    """(P + 1, P + 1) [J r]^T [J r] of the priors at the estimate; columns X, Y_c, theta_c, and the residual."""
+def prior_information(
+    views: Mapping[str, Views], estimate: Estimate, options: CalibrationOptions, lens_weight: float = 1.0
+) -> FloatArray:
+    """(P + 1, P + 1) [J r]^T [J r] of the priors at the estimate; columns X, Y_c, theta_c, and the residual. Those of
+    stated intrinsics count ``lens_weight`` times."""
     values = to_values(estimate, with_theta=options.refine_intrinsics)
-    priors = _priors(views, options)
+    priors = _priors(views, options, lens_weight)
     linear = priors.linearize(values)
     cameras = range(len(views))
     keys = [BODY_T_BOARD, *map(camera_T_ref_key, cameras)]

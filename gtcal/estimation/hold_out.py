@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -33,34 +34,43 @@ class _Block:
 class HoldOut:
     """Sums of blocks of time, from which each block's error is predicted.
 
-    n_corners: of all blocks. sigma_px: that the sums are whitened by. information: (P + 1, P + 1) of the priors."""
+    n_corners: of all blocks. sigma_px: that the sums are whitened by. exact_information, noisy_information:
+        (P + 1, P + 1) of the priors, as each estimate weighs them."""
 
     blocks: tuple[_Block, ...]
     n_corners: int
     sigma_px: float
-    information: FloatArray
+    exact_information: FloatArray
+    noisy_information: FloatArray
 
     @property
     def exact_rmse_px(self) -> float:
         """Pooled hold-out RMSE of an estimate that takes the mocap as exact."""
-        return self._rmse_px(self._squares([block.exact for block in self.blocks]))
+        return self._rmse_px(self._exact_squares)
 
     @property
     def noisy_rmse_px(self) -> float:
         """... of an estimate that models its noise; the frame that is predicted has the mocap's pose all the same."""
-        return self._rmse_px(self._squares([block.noisy for block in self.blocks]))
+        return self._rmse_px(self._noisy_squares)
 
     @property
     def noisy_worse_by_sigmas(self) -> float:
         """By how many standard errors, over the blocks, the modelled noise makes the prediction worse."""
-        exact, noisy = (self._squares([getattr(block, kind) for block in self.blocks]) for kind in ("exact", "noisy"))
-        difference = noisy - exact
+        difference = self._noisy_squares - self._exact_squares
         spread = float(difference.std(ddof=1)) / np.sqrt(len(difference))
         return float(difference.mean()) / spread if spread > 0.0 else 0.0
 
-    def _squares(self, learnt: list[FloatArray]) -> FloatArray:
+    @cached_property
+    def _exact_squares(self) -> FloatArray:
+        return self._squares([block.exact for block in self.blocks], self.exact_information)
+
+    @cached_property
+    def _noisy_squares(self) -> FloatArray:
+        return self._squares([block.noisy for block in self.blocks], self.noisy_information)
+
+    def _squares(self, learnt: list[FloatArray], information: FloatArray) -> FloatArray:
         """(k,) summed squares of each block, predicted by what the others taught."""
-        total = self.information + np.sum(learnt, axis=0)
+        total = information + np.sum(learnt, axis=0)
         squares = []
         for block, own in zip(self.blocks, learnt, strict=True):
             others = total - own
@@ -81,8 +91,11 @@ def hold_out(
     sigma_px: float,
     free_theta: bool,
     information: FloatArray,
+    exact_information: FloatArray,
 ) -> HoldOut:
-    """The sums of ``FOLDS`` blocks of time round an estimate; of as many as there are frames, where these are fewer."""
+    """The sums of ``FOLDS`` blocks of time round an estimate; of as many as there are frames, where these are fewer.
+    information, exact_information: of the priors, as an estimate weighs them that models the mocap's noise, and one
+    that does not."""
     blocks, frames = [], frames_of(views)
     for block in np.array_split(frames, min(FOLDS, len(frames))):
         exact, noisy = np.zeros_like(information), np.zeros_like(information)
@@ -93,4 +106,4 @@ def hold_out(
             exact += moments.exact.sum(axis=0)
         blocks.append(_Block(exact, np.triu(noisy) + np.triu(noisy, 1).T))
     n_corners = sum(of_camera.n_corners for of_camera in views.values())
-    return HoldOut(tuple(blocks), n_corners, sigma_px, information)
+    return HoldOut(tuple(blocks), n_corners, sigma_px, exact_information, information)

@@ -37,18 +37,17 @@ def lens_sigmas(camera: Camera, options: CalibrationOptions) -> FloatArray:
 
 
 def _factory_sigmas(camera: Camera) -> FloatArray:
-    moved_px = _largest_moves_px(camera)
-    sigmas = FACTORY_PX / np.maximum(moved_px, 1e-9)
+    largest_px = np.linalg.norm(moves_px(camera), axis=1).max(axis=0, initial=1e-9)
+    sigmas = FACTORY_PX / largest_px
     sigmas[:2], sigmas[2:4] = FACTORY_FOCAL * camera.theta[:2], FACTORY_PX
     return sigmas
 
 
-def _largest_moves_px(camera: Camera) -> FloatArray:
-    """(K,) by how many pixels a unit of each parameter moves the pixel of the image that it moves most."""
+def moves_px(camera: Camera) -> FloatArray:
+    """(N, 2, K) by how many pixels a unit of each parameter moves pixels spread over the image."""
     across = np.linspace(0.0, camera.image_width_px - 1.0, _GRID)
     down = np.linspace(0.0, camera.image_height_px - 1.0, _GRID)
     pixels_px = np.stack(np.meshgrid(across, down), axis=-1).reshape(-1, 2)
     bearings, seen = camera.unproject(pixels_px)
     _, valid, _, by_theta = camera.model.project_with_jacobians(bearings[seen], camera.theta)
-    moves_px = np.linalg.norm(by_theta[valid], axis=1)
-    return np.asarray(moves_px.max(axis=0), dtype=np.float64) if len(moves_px) else np.ones(len(camera.theta))
+    return by_theta[valid]

@@ -16,8 +16,8 @@ IntrinsicsMode = Literal["exact", "fixed", "auto", "refine", "calibrate", "calib
 """auto: solved for jointly with the extrinsics, near what the recording states, by its sigmas; found first where it
 states nothing. fixed: held at what the recording states, whose sigmas count in the covariance. exact: held, and taken
 for known exactly, as in the paper. refine: solved for jointly, under ``intrinsics_prior``. calibrate: found first, by a
-plain calibration from the views, then held as exact; calibrate+refine: found first, then solved for jointly as by
-refine. What the recording states is not used by these two."""
+plain calibration from the views, then as auto, near what was found; calibrate+refine: found first, then as refine.
+What the recording states is not used by these two."""
 
 IntrinsicsPrior = Literal["weak", "stated"]
 
@@ -79,7 +79,7 @@ class CalibrationOptions:
 
     Raises GtcalError for a choice that makes no sense."""
 
-    intrinsics: IntrinsicsMode = "exact"
+    intrinsics: IntrinsicsMode = "auto"
     intrinsics_prior: IntrinsicsPrior = "weak"
     focal_sigma_px: float | None = None
     centre_sigma_px: float | None = None
@@ -144,4 +144,11 @@ class CalibrationOptions:
     @property
     def refine_intrinsics(self) -> bool:
         """Whether the intrinsics are solved for jointly with the extrinsics."""
-        return self.intrinsics in ("auto", "refine", "calibrate+refine") and 3 in self.stages
+        return self.intrinsics not in ("exact", "fixed") and 3 in self.stages
+
+    @property
+    def trusts_stated_intrinsics(self) -> bool:
+        """Whether intrinsics that are solved for stay near what the recording states, by its sigmas."""
+        return self.refine_intrinsics and (
+            self.intrinsics in ("auto", "calibrate") or self.intrinsics_prior == "stated"
+        )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,11 +12,12 @@ from gtcal.errors import GtcalError
 from gtcal.estimation.adjustment import Adjusted, adjust, joint_covariance, joint_keys, not_adjusted, theta_sizes
 from gtcal.estimation.alignment import GuideViews, fitting_views, stage_1, stage_2, without_stage_1
 from gtcal.estimation.choice import choose
-from gtcal.estimation.clustered import by_noise_model, clustered
+from gtcal.estimation.clustered import by_noise_model, by_one_factor, clustered, lens_weight
 from gtcal.estimation.errors_in_variables import GROSS, model_mocap_noise, whiteness
 from gtcal.estimation.estimate import Estimate
 from gtcal.estimation.field_edge import without_edge
 from gtcal.estimation.held_intrinsics import with_held_intrinsics
+from gtcal.estimation.lens_moves import lens_moves, lens_warnings
 from gtcal.estimation.mocap_noise import MocapNoiseModel
 from gtcal.estimation.motion import check_turning, turning
 from gtcal.estimation.observations import Dropped, Observations, Views, pooled
@@ -36,6 +37,7 @@ from gtcal.results.calibration import (
     StageReport,
 )
 from gtcal.results.covariance import CLUSTERED, ERRORS_IN_VARIABLES, NAIVE, JointCovariance
+from gtcal.results.lens_move import LensMove
 from gtcal.results.provenance import provenance
 from gtcal.uncertainty.placement import Placement
 from gtcal.uncertainty.weak_directions import directions_of_covariance, directions_of_graph, weakness_warnings
@@ -48,9 +50,13 @@ LOOSE, LOOSE_PX = 5.0, 1.0
 
 MANY_DROPPED, SOME_DROPPED = 0.25, 0.05
 """Shares of gross views that an operator should hear of: that contradict the chain, and that noise does not explain.
-The second by two sigma of the count: of few views one or two are no share."""
+The second by two sigma of the count, and by more than two views."""
+
+REFUTED_SIGMAS = 3.0
+"""By so many standard errors of the hold-out error the noise model is wrong, and not only not better."""
 
 _MIN_VIEWS = 3
+_WEIGHINGS, _SAME_WEIGHT = 2, np.log(1.5)
 
 
 class DisagreementError(GtcalError):
@@ -97,9 +103,10 @@ def calibrate_observations(
     adjusted, sigmas = found.adjusted, found.covariances.get(found.kind)
     later += found.reports
     final = adjusted.estimate
+    moved = _lens_moves(observations, final, sigmas, options)
     return Calibration(
         capture=observations.capture,
-        cameras={name: _camera(of_camera, adjusted, sigmas) for name, of_camera in views.items()},
+        cameras={name: _camera(of_camera, adjusted, sigmas, moved.get(name, ())) for name, of_camera in views.items()},
         body_T_board=PoseEstimate(final.body_T_board, sigmas.body_T_board if sigmas else None),
         board=observations.board.to_manifest(),
         sigma_px=adjusted.sigma_px,
@@ -111,11 +118,19 @@ def calibrate_observations(
         dropped=pooled(observations.dropped + found.dropped),
         warnings=(
             *_warnings(observations, adjusted, sigmas, options),
+            *lens_warnings({name: of_camera.camera for name, of_camera in views.items()}, moved),
             *_gross_warnings(found.dropped, observations),
-            *fit_warnings((*reports, *later)),
+            *fit_warnings((*reports, *later), found.noise),
         ),
         provenance=provenance(options, inputs, time.perf_counter() - started),
-        solution=Solution(adjusted.graph, adjusted.values, final, adjusted.screened.views, found.covariance_factor),
+        solution=Solution(
+            adjusted.graph,
+            adjusted.values,
+            final,
+            adjusted.screened.views,
+            found.covariance_factor,
+            adjusted.lens_weight,
+        ),
     )
 
 
@@ -126,7 +141,9 @@ def _check_enough(views: Mapping[str, Views], options: CalibrationOptions) -> No
                 f"camera {name!r} has {of_camera.n_views} usable view(s); at least {_MIN_VIEWS} are needed for its "
                 "extrinsic, and 20 or more for a good one: record longer, or leave the camera out"
             )
-        unknowns = 12 + of_camera.camera.model.n_parameters * options.refine_intrinsics
+        unknowns = 12
+        if options.refine_intrinsics and not options.trusts_stated_intrinsics:
+            unknowns += of_camera.camera.model.n_parameters
         if 2 * of_camera.n_corners < unknowns:
             raise GtcalError(
                 f"camera {name!r} has {2 * of_camera.n_corners} measured coordinates for {unknowns} unknowns: "
@@ -158,14 +175,17 @@ def _prior_warnings(adjusted: Adjusted, options: CalibrationOptions) -> tuple[st
     return contradictions(options.priors, cameras, adjusted.values, free_theta=options.refine_intrinsics)
 
 
-def fit_warnings(reports: tuple[StageReport, ...]) -> tuple[str, ...]:
-    """By themselves the views fit as well as lens and detector are; what the chain adds is the mocap's."""
-    alone_px, chain_px = reports[0].median_px, reports[-1].median_px
-    if reports[-1].stage < 3 or not chain_px > max(LOOSE * alone_px, LOOSE_PX):
+def fit_warnings(reports: Sequence[StageReport], noise: MocapNoise | None) -> tuple[str, ...]:
+    """By themselves the views fit as well as lens and detector are; what the chain adds is the mocap's. The reports
+    begin with PnP's; the stage that was taken is the one that counts."""
+    alone, stage = reports[0], noise.stage if noise is not None else 3
+    taken = next((report for report in reports if report.stage == stage), None)
+    if taken is None or not taken.median_px > max(LOOSE * alone.median_px, LOOSE_PX):
         return ()
     return (
-        f"corners lie {chain_px:.2g} px off, typically, but {alone_px:.2g} px where each view has a board pose of its "
-        "own: the mocap's poses do not go with the images; look for a clock offset or for loose markers",
+        f"corners lie {taken.median_px:.2g} px off, typically, but {alone.median_px:.2g} px where each view has a "
+        "board pose of its own: the mocap's poses do not go with the images; look for a clock offset or for loose "
+        "markers",
     )
 
 
@@ -202,7 +222,7 @@ def _gross_warnings(dropped: tuple[Dropped, ...], observations: Observations) ->
         f"camera {name!r}: {n_gross / n:.0%} of its views were left out, off by more than the noise of the mocap "
         "explains; a body that slips or is mistaken looks like that"
         for name, (n_gross, n) in counts.items()
-        if n_gross > SOME_DROPPED * n + 2.0 * np.sqrt(SOME_DROPPED * n)
+        if n_gross > max(SOME_DROPPED * n + 2.0 * np.sqrt(SOME_DROPPED * n), 2.0)
     )
 
 
@@ -253,9 +273,30 @@ def _stage_3(
     if 3 not in options.stages:
         return not_adjusted(views, estimate, options), ()
     started = time.perf_counter()
-    adjusted = adjust(views, estimate, options, progress)
+    adjusted = _weighed(adjust(views, estimate, options, progress), views, options, progress)
     report = _report(3, "pixels", started, adjusted.errors, "px^2/2")
     return adjusted, (replace(report, median_px=_median_px(views, adjusted.estimate)),)
+
+
+def _weighed(
+    adjusted: Adjusted,
+    views: Mapping[str, Views],
+    options: CalibrationOptions,
+    progress: Progress = silent,
+    correlation_s: float = 0.0,
+) -> Adjusted:
+    """Stage 3 with what is stated of the lenses counted as it should be beside corners that err together, frame by
+    frame or for ``correlation_s``."""
+    for _ in range(_WEIGHINGS if options.trusts_stated_intrinsics else 0):
+        try:
+            weight = lens_weight(adjusted, options, correlation_s)
+        except np.linalg.LinAlgError:
+            break  # a direction is open, and named later
+        if abs(np.log(weight / adjusted.lens_weight)) < _SAME_WEIGHT:
+            break
+        again = adjust(views, adjusted.estimate, options, progress, lens_weight=weight)
+        adjusted = replace(again, errors=(*adjusted.errors, *again.errors[1:]))
+    return adjusted
 
 
 @dataclass(frozen=True)
@@ -304,14 +345,18 @@ def _with_mocap_noise(
     if modelled is None:
         return _Found(adjusted, {3: adjusted.estimate}, covariances, None, dropped)
     freed, noise = modelled
-    if CLUSTERED not in covariances:
-        covariances[CLUSTERED] = by_noise_model(adjusted, options, noise.noise, motion, sizes=naive.theta_sizes)
     of_freed = joint_covariance(freed, ERRORS_IN_VARIABLES)
     if of_freed is not None:
         covariances[ERRORS_IN_VARIABLES] = of_freed.times(noise.noise.small_sample_factor)
     report = _report(4, "mocap noise", started, freed.errors, "whitened")
     report = replace(report, median_px=_median_px(views, freed.estimate))
     chosen = choose(noise, whiteness(freed, noise, motion, options))
+    if CLUSTERED not in covariances:
+        covariances[CLUSTERED] = (
+            by_one_factor(adjusted, options, correlation_s, sizes=naive.theta_sizes)
+            if noise.hold_out.noisy_worse_by_sigmas > REFUTED_SIGMAS
+            else by_noise_model(adjusted, options, noise.noise, motion, sizes=naive.theta_sizes)
+        )
     estimates = {3: adjusted.estimate, 4: freed.estimate}
     if chosen.stage == 3:
         return _Found(adjusted, estimates, covariances, chosen, dropped, (report,), freed, noise.noise)
@@ -371,7 +416,22 @@ def _check_agreement(views: Mapping[str, Views], estimate: Estimate) -> None:
         raise DisagreementError(float(np.rad2deg(angle_rad)))
 
 
-def _camera(views: Views, adjusted: Adjusted, sigmas: JointCovariance | None) -> CameraCalibration:
+def _lens_moves(
+    observations: Observations, estimate: Estimate, sigmas: JointCovariance | None, options: CalibrationOptions
+) -> dict[str, tuple[LensMove, ...]]:
+    """Of intrinsics that were solved for near what is stated; none where a direction is open, and named elsewhere."""
+    if sigmas is None or not options.trusts_stated_intrinsics:
+        return {}
+    cameras = {name: views.camera for name, views in observations.views.items()}
+    try:
+        return lens_moves(cameras, estimate, sigmas, options)
+    except np.linalg.LinAlgError:
+        return {}
+
+
+def _camera(
+    views: Views, adjusted: Adjusted, sigmas: JointCovariance | None, moved: tuple[LensMove, ...]
+) -> CameraCalibration:
     name = views.camera.name
     used, estimate = adjusted.screened.views[name], adjusted.estimate
     lengths_px = adjusted.screened.lengths_px[name]
@@ -385,4 +445,5 @@ def _camera(views: Views, adjusted: Adjusted, sigmas: JointCovariance | None) ->
         camera_T_ref=PoseEstimate(estimate.camera_T_ref[name], sigmas.camera_T_ref(name) if sigmas else None),
         theta_covariance=sigmas.theta(name) if sigmas else None,
         residuals=ResidualStatistics.of(lengths_px, used.n_views),
+        lens_moves=moved,
     )

@@ -17,6 +17,7 @@ from gtcal.recordings.capture import Capture
 from gtcal.recordings.detections import IntArray
 from gtcal.results.covariance import JointCovariance
 from gtcal.results.effect_finding import EffectFinding
+from gtcal.results.lens_move import LensMove
 
 
 @dataclass(frozen=True)
@@ -64,6 +65,12 @@ class PoseEstimate:
         return 1e3 * np.sqrt(np.diag(R @ self.covariance[3:, 3:] @ R.T))
 
 
+def pose_moved(a_T_b: FloatArray, xi: FloatArray) -> tuple[float, float]:
+    """How far, in mm and deg, a's position in b moves with a_T_b * Exp(xi), xi (6,) small."""
+    position_m = PoseEstimate(a_T_b, None).position_of_a_in_b_m
+    return float(1e3 * np.linalg.norm(np.cross(position_m, xi[:3]) - xi[3:])), float(np.rad2deg(np.linalg.norm(xi[:3])))
+
+
 def pose_difference(found_a_T_b: FloatArray, true_a_T_b: FloatArray) -> tuple[float, float]:
     """Distance in mm between the origins of b in a, and angle in deg between the attitudes, of two transforms."""
     position_mm = 1e3 * float(np.linalg.norm(found_a_T_b[:3, 3] - true_a_T_b[:3, 3]))
@@ -105,12 +112,14 @@ class ResidualStatistics:
 class CameraCalibration:
     """One camera: with the intrinsics used or found, where it is, and how well its corners fit.
 
-    theta_covariance: (K, K) of the intrinsics where they were solved for, else None."""
+    theta_covariance: (K, K) of the intrinsics where they were solved for, else None.
+    lens_moves: how far they then moved from what was known of them beforehand, where anything was."""
 
     camera: Camera
     camera_T_ref: PoseEstimate
     theta_covariance: FloatArray | None
     residuals: ResidualStatistics
+    lens_moves: tuple[LensMove, ...] = ()
 
     @property
     def camera_with_sigmas(self) -> Camera:
@@ -232,13 +241,15 @@ class Solution:
     """The optimised problem, for those who want to go on from it: add a factor, solve again.
 
     graph, values: GTSAM's, keys as in ``gtcal.estimation.graph``. views: the views and corners that were used, by
-    camera. covariance_factor: by how much the calibration's covariance is larger than the graph's (few frames)."""
+    camera. covariance_factor: by how much the calibration's covariance is larger than the graph's (few frames).
+    lens_weight: how many times their information the priors of stated intrinsics count in the graph."""
 
     graph: gtsam.NonlinearFactorGraph
     values: gtsam.Values
     estimate: Estimate
     views: dict[str, Views]
     covariance_factor: float = 1.0
+    lens_weight: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -296,6 +307,24 @@ class Calibration:
     def covariance(self) -> JointCovariance | None:
         """The one that the estimates carry."""
         return self.covariances.get(self.covariance_kind)
+
+    def with_covariance(self, joint: JointCovariance) -> Calibration:
+        """The same with ``joint`` as the covariance that the estimates carry."""
+        cameras = {
+            name: replace(
+                camera,
+                camera_T_ref=replace(camera.camera_T_ref, covariance=joint.camera_T_ref(name)),
+                theta_covariance=joint.theta(name),
+            )
+            for name, camera in self.cameras.items()
+        }
+        return replace(
+            self,
+            cameras=cameras,
+            body_T_board=replace(self.body_T_board, covariance=joint.body_T_board),
+            covariances={**self.covariances, joint.kind: joint},
+            covariance_kind=joint.kind,
+        )
 
     @property
     def estimate(self) -> Estimate:

@@ -1,7 +1,8 @@
 """calibration.json: a calibration on disk, readable back without loss.
 
 Matrices are row-major lists of rows. Next to each transform stand its quaternion and translation for people and other
-programs; reading takes the matrix. Files from before effects were looked for have neither these nor segments.
+programs; reading takes the matrix. Files from before effects were looked for have neither these nor segments, older
+ones no lens_moves either.
 """
 
 from __future__ import annotations
@@ -34,6 +35,7 @@ from gtcal.results.calibration import (
 )
 from gtcal.results.covariance import JointCovariance
 from gtcal.results.effect_finding import EffectFinding, Moment, Quantity
+from gtcal.results.lens_move import LensMove
 from gtcal.results.result_file import read_result
 
 SCHEMA_VERSION = 1
@@ -102,6 +104,7 @@ def _camera_document(calibrated: CameraCalibration) -> dict[str, Any]:
             "position_of_camera_in_ref_sigma_mm": _list(pose.position_of_a_in_b_sigma_mm),
         },
         "residuals": asdict(calibrated.residuals),
+        "lens_moves": [asdict(move) for move in calibrated.lens_moves],
     }
 
 
@@ -194,6 +197,7 @@ def _camera(name: str, block: Mapping[str, Any]) -> CameraCalibration:
         camera_T_ref=_pose(block["camera_T_ref"]),
         theta_covariance=_array(block["parameter_covariance"], (len(theta), len(theta))),
         residuals=_made(ResidualStatistics, block["residuals"]),
+        lens_moves=tuple(_made(LensMove, move) for move in block.get("lens_moves", ())),
     )
 
 
