@@ -55,6 +55,7 @@ def calibrate(
     effects: bool = True,
     segments: Literal["none", "auto"] = "none",
     stages: tuple[int, ...] = (1, 2, 3),
+    sweep: Literal["converged", "paper"] = "converged",
     eps: float = 1e-4,
     max_iterations: int = 100,
     screen: bool = True,
@@ -114,6 +115,8 @@ def calibrate(
         segments: 'auto': where markers or a camera moved during the recording, calibrate each stretch between on its
             own, all that did not move shared.
         stages: Stages to run, of 1 (Procrustes sweep), 2 (3-D alignment), 3 (pixels).
+        sweep: Of stage 1. 'converged': from each start on to the minimum below, and by consensus of the views where no
+            chain comes close to most of them; 'paper': the sweep of closed-form updates alone, as in the paper.
         eps: A minimisation stops where an iteration improves the error E by less than eps (1 + E).
         max_iterations: Most iterations of one minimisation.
         screen: Leave out views and corners that grossly contradict the others.
@@ -148,6 +151,7 @@ def calibrate(
         effects=effects,
         segments=segments,
         stages=stages,
+        sweep=sweep,
         eps=eps,
         max_iterations=max_iterations,
         screen=screen,

@@ -2,13 +2,14 @@
 
 Views whose PnP pose and mocap pose contradict the others (a swap, a flipped board pose, a wrong tag) must not decide
 the result, so stage 1 runs three times: on the views whose turns agree, then on those that the last result explains,
-each with the one of its two PnP poses that fits better.
+each with the one of its two PnP poses that fits better. Where that ends far off, it runs again from the views that agree
+by consensus.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -16,9 +17,12 @@ from factors.alignment import corner_moments, squared_distances
 from factors.moments import chain
 from factors.rigid import inverse
 from gtcal.camera import BoolArray, FloatArray
+from gtcal.estimation.alignment_descent import converged_sweep
+from gtcal.estimation.consensus import ViewPoses, consensus
 from gtcal.estimation.estimate import Estimate
 from gtcal.estimation.graph import AlignmentViews, Minimisation, alignment_graph, minimise, to_values, updated
 from gtcal.estimation.observations import Views
+from gtcal.estimation.options import SweepMode
 from gtcal.estimation.pnp import PnpViews
 from gtcal.estimation.procrustes import N_STARTS, SweepResult, alignment_sums, sweep
 from gtcal.estimation.residuals import select_views
@@ -32,6 +36,10 @@ _TURN_FLOOR_RAD = np.deg2rad(1.0)
 """Turns that differ by less agree: PnP is no better than that on a distant board."""
 
 _MAX_REFERENCES = 200
+
+_CLOSE = 0.01
+"""A chain that fits has its median corner within this share of the board's distance: three times what PnP errs by on a
+distant board. Where none is so close, consensus is sought, which good recordings do without."""
 
 
 @dataclass(frozen=True)
@@ -49,6 +57,17 @@ class GuideViews:
         chosen = select_views(views, pnp.view_index)
         moments = corner_moments(chosen.view_start, chosen.corners_m)
         return GuideViews(chosen, pnp.camera_T_board, pnp.median_px[:, 0], moments)
+
+    @property
+    def poses(self) -> ViewPoses:
+        """With the better PnP pose."""
+        return ViewPoses(self.views.ref_T_body, self.pnp_camera_T_board[:, 0], self.corner_moments)
+
+    @property
+    def distances_m(self) -> FloatArray:
+        """(W,) of the middle of the corners from the camera, by PnP."""
+        middle = self.corner_moments[:, :, 3] / self.corner_moments[:, 3:, 3]
+        return np.asarray(np.linalg.norm(np.einsum("vij,vj->vi", self.pnp_camera_T_board[:, 0, :3], middle), axis=1))
 
     def rms_m(self, camera_T_ref: FloatArray, body_T_board: FloatArray) -> FloatArray:
         """Rms distance (W, 2) between the corners placed by the chain and by each of the two PnP poses."""
@@ -73,19 +92,74 @@ class Aligned:
     n_outlying: int
 
 
-def stage_1(guides: Mapping[str, GuideViews], rng: np.random.Generator, *, n_starts: int = N_STARTS) -> Aligned:
+def stage_1(
+    guides: Mapping[str, GuideViews],
+    rng: np.random.Generator,
+    *,
+    n_starts: int = N_STARTS,
+    method: SweepMode = "converged",
+) -> Aligned:
     """Procrustes sweep over all cameras, robust to gross views while they are a minority."""
-    chosen = {name: _agreeing_views(guide) for name, guide in guides.items()}
+    agreeing = {name: _agreeing_views(guide) for name, guide in guides.items()}
+    aligned = _passes(guides, agreeing, rng, n_starts, method)
+    if method == "paper" or _share_of_distance(guides, aligned.estimate) < _CLOSE:
+        return aligned
+    found = consensus({name: guide.poses for name, guide in guides.items()}, rng)
+    if found is None:
+        return aligned
+    agreed = Estimate(found[1], found[0], _stated_theta(guides))
+    again = _passes(guides, fitting_views(guides, agreed), rng, n_starts, method)
+    return min((aligned, again), key=lambda tried: _share_of_distance(guides, tried.estimate))
+
+
+def _passes(
+    guides: Mapping[str, GuideViews],
+    chosen: dict[str, AlignmentViews],
+    rng: np.random.Generator,
+    n_starts: int,
+    method: SweepMode,
+) -> Aligned:
+    """The sweep on the views ``chosen``, then on those that fit what it found."""
     for _ in range(_PASSES):
-        result = sweep(
-            [alignment_sums(v.ref_T_body, v.pnp_camera_T_board, v.corner_moments) for v in chosen.values()],
-            rng,
-            n_starts,
-        )
+        result = _swept(chosen, rng, n_starts, method)
         estimate = _estimate(guides, result)
         chosen = fitting_views(guides, estimate)
     n_outlying = sum(len(guides[name].corner_moments) - len(v.corner_moments) for name, v in chosen.items())
     return Aligned(estimate, chosen, result, n_outlying)
+
+
+def _swept(
+    chosen: Mapping[str, AlignmentViews], rng: np.random.Generator, n_starts: int, method: SweepMode
+) -> SweepResult:
+    """Round the middle of the bodies and of the corners, where long levers take no digits."""
+    ref_T_middle, board_T_middle = np.eye(4), np.eye(4)
+    ref_T_middle[:3, 3] = np.mean(np.concatenate([v.ref_T_body[:, :3, 3] for v in chosen.values()]), axis=0)
+    moments = np.sum([v.corner_moments.sum(axis=0) for v in chosen.values()], axis=0)
+    board_T_middle[:3, 3] = moments[:3, 3] / moments[3, 3]
+    to_middle = inverse(board_T_middle)
+    sums = [
+        alignment_sums(
+            inverse(ref_T_middle) @ v.ref_T_body,
+            v.pnp_camera_T_board @ board_T_middle,
+            to_middle @ v.corner_moments @ to_middle.T,
+        )
+        for v in chosen.values()
+    ]
+    found = (sweep if method == "paper" else converged_sweep)(sums, rng, n_starts)
+    return replace(
+        found,
+        camera_T_ref=found.camera_T_ref @ inverse(ref_T_middle),
+        body_T_board=found.body_T_board @ to_middle,
+    )
+
+
+def _share_of_distance(guides: Mapping[str, GuideViews], estimate: Estimate) -> float:
+    """Median over the views of the corners' rms distance from the chain, as a share of the board's from the camera."""
+    shares = [
+        guide.rms_m(estimate.camera_T_ref[name], estimate.body_T_board).min(axis=1) / guide.distances_m
+        for name, guide in guides.items()
+    ]
+    return float(np.median(np.concatenate(shares)))
 
 
 def fitting_views(guides: Mapping[str, GuideViews], estimate: Estimate) -> dict[str, AlignmentViews]:

@@ -27,6 +27,10 @@ SegmentsMode = Literal["none", "auto"]
 """none: one set of poses for the whole recording. auto: where markers or a camera moved during it, one for each stretch
 between the changes, all that did not move shared."""
 
+SweepMode = Literal["converged", "paper"]
+"""Of stage 1. converged: from each start the paper's sweep of closed-form updates, then on to the minimum of E_3D below;
+and where no chain comes close to most views, consensus. paper: the sweep alone."""
+
 ClockMode = Literal["test", "estimate", "per_camera", "trust"]
 """test: the stamps are taken as they are, and a warning says what offset the data want. estimate: one offset between
 all cameras and the mocap is found and corrected. per_camera: one for each. trust: the stamps are taken as they are."""
@@ -65,6 +69,7 @@ class CalibrationOptions:
     stages: those to run, of 1 (Procrustes sweep), 2 (3-D alignment), 3 (pixels).
     eps: a minimisation stops where an iteration improves the error E by less than eps (1 + E).
     screen: leave gross views and corners out.
+    sweep: of stage 1, see ``SweepMode``.
     pnp_views: at most this many views per camera guide stages 1 and 2.
     seed: of the random starting rotations.
     allow_degenerate: solve even where the motion cannot determine the result.
@@ -91,6 +96,7 @@ class CalibrationOptions:
     eps: float = 1e-4
     max_iterations: int = 100
     screen: bool = True
+    sweep: SweepMode = "converged"
     pnp_views: int = 100
     seed: int = 0
     allow_degenerate: bool = False
@@ -109,6 +115,7 @@ class CalibrationOptions:
             "intrinsics_prior": IntrinsicsPrior,
             "clock": ClockMode,
             "segments": SegmentsMode,
+            "sweep": SweepMode,
         }
         if not isinstance(self.mocap, MocapSigmas):
             modes["mocap"] = MocapMode

@@ -44,12 +44,13 @@ class AlignmentSums:
 @dataclass(frozen=True)
 class SweepResult:
     """The best of the starts: camera_T_ref (C, 4, 4), body_T_board (4, 4), rmse_m = sqrt(E_3D / corners), and
-    the rmse of every start (S,)."""
+    the rmse of every start (S,). n_steps: of the start that took most."""
 
     camera_T_ref: FloatArray
     body_T_board: FloatArray
     rmse_m: float
     rmse_of_starts_m: FloatArray
+    n_steps: int
 
 
 def alignment_sums(ref_T_body: FloatArray, pnp_camera_T_board: FloatArray, moments: FloatArray) -> AlignmentSums:
@@ -122,12 +123,18 @@ def starting_rotations(rng: np.random.Generator, n_starts: int = N_STARTS) -> Fl
 
 def sweep(sums: Sequence[AlignmentSums], rng: np.random.Generator, n_starts: int = N_STARTS) -> SweepResult:
     """N_SWEEPS alternate updates from each starting rotation of X, X last; the start that ends lowest."""
+    Y, X = swept(sums, rng, n_starts)
+    energy = np.maximum(energy_m2(sums, Y, X), 0.0)
+    rmse_m = np.sqrt(energy / sum(s.n_corners for s in sums))
+    best = int(rmse_m.argmin())
+    return SweepResult(Y[best], X[best], float(rmse_m[best]), rmse_m, N_SWEEPS)
+
+
+def swept(sums: Sequence[AlignmentSums], rng: np.random.Generator, n_starts: int) -> tuple[FloatArray, FloatArray]:
+    """Where ``sweep`` ends from each start: camera_T_ref (S, C, 4, 4) and body_T_board (S, 4, 4)."""
     X = np.zeros((n_starts, 4, 4))
     X[:, :3, :3], X[:, 3, 3] = starting_rotations(rng, n_starts), 1.0
     for _ in range(N_SWEEPS):
         Y = np.stack([solve_camera_T_ref(s, X) for s in sums], axis=1)
         X = solve_body_T_board(sums, Y)
-    energy = np.maximum(energy_m2(sums, Y, X), 0.0)
-    rmse_m = np.sqrt(energy / sum(s.n_corners for s in sums))
-    best = int(rmse_m.argmin())
-    return SweepResult(Y[best], X[best], float(rmse_m[best]), rmse_m)
+    return Y, X

@@ -246,11 +246,11 @@ def _align(
     started = time.perf_counter()
     if 1 in options.stages:
         progress("stage 1: Procrustes sweep", 0, 1)
-        aligned = stage_1(guides, np.random.default_rng(options.seed))
+        aligned = stage_1(guides, np.random.default_rng(options.seed), method=options.sweep)
         estimate, fitting = aligned.estimate, aligned.views
         worst, best = aligned.sweep.rmse_of_starts_m.max(), aligned.sweep.rmse_m
         found = _report(1, "Procrustes sweep", started, (worst, best), "m rmse")
-        reports.append(replace(found, median_px=_median_px(views, estimate)))
+        reports.append(replace(found, iterations=aligned.sweep.n_steps, median_px=_median_px(views, estimate)))
         progress("stage 1: Procrustes sweep", 1, 1)
     else:
         estimate = without_stage_1(guides)
