@@ -2,8 +2,8 @@
 
 Views whose PnP pose and mocap pose contradict the others (a swap, a flipped board pose, a wrong tag) must not decide
 the result, so stage 1 runs three times: on the views whose turns agree, then on those that the last result explains,
-each with the one of its two PnP poses that fits better. Where that ends far off, it runs again from the views that agree
-by consensus.
+each with the one of its two PnP poses that fits better. Where that ends far off, it runs again from the views that
+agree by consensus.
 """
 
 from __future__ import annotations

@@ -19,6 +19,7 @@ from scipy.spatial.transform import Rotation
 
 from gtcal.camera import BoolArray, FloatArray
 from gtcal.estimation.procrustes import N_STARTS, AlignmentSums, SweepResult, energy_m2, swept
+from gtcal.recordings.detections import IntArray
 
 STEP_RAD = 1e-9
 """Converged where a step turns nothing by more; the next one would turn by its square."""
@@ -134,9 +135,9 @@ def _with_best_translations(
     return Y, X
 
 
-def _columns(n_cameras: int) -> tuple[FloatArray, FloatArray]:
+def _columns(n_cameras: int) -> tuple[IntArray, IntArray]:
     """Which of the 6 + 6 C tangents turn, and which shift."""
-    columns = np.arange(6 + 6 * n_cameras).reshape(-1, 6)
+    columns = np.arange(6 + 6 * n_cameras, dtype=np.int64).reshape(-1, 6)
     return columns[:, :3].ravel(), columns[:, 3:].ravel()
 
 

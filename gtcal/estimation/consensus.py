@@ -1,13 +1,13 @@
 """Which views agree on one chain, where up to nearly half of them are wrong in one and the same way.
 
-Medians of residuals tell gross views while a fit of all views lies near the good ones. Poses that are off by one and the
-same large shift, bodies that swap, or boards seen turned by half a turn pull it to somewhere between. So chains are
-proposed from a few views each (random sample consensus: Fischler and Bolles 1981) and judged by the median over all
-views (least median of squares: Rousseeuw 1984), which breaks down at one half.
+Medians of residuals tell gross views while a fit of all views lies near the good ones. Poses that are off by one large
+shift, bodies that swap, or boards seen turned by half a turn pull it to somewhere between. So chains are proposed from
+a few views each (random sample consensus: Fischler and Bolles 1981) and judged by the median over all views (least
+median of squares: Rousseeuw 1984), which breaks down at one half.
 
 From a few views of one camera a chain follows in closed form: the turns between views give the rotation of X (Park and
-Martin 1994), then that of Y_c, then both translations. With X known, every view of any other camera gives a Y_c, and the
-one that most other views agree with is kept.
+Martin 1994), then that of Y_c, then both translations. With X known, every view of another camera gives a Y_c; the one
+that most other views agree with is kept.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ def consensus(
     """camera_T_ref by camera and body_T_board (4, 4) of the proposal with the smallest median over all views; None
     where no camera has views enough that turn."""
     best, best_m = None, np.inf
-    for name, of_camera in views.items():
+    for of_camera in views.values():
         for body_T_board in _proposals(of_camera, rng):
             camera_T_ref = {other: _medoid(poses, body_T_board) for other, poses in views.items()}
             rms = [poses.rms_m(camera_T_ref[other][None], body_T_board[None])[0] for other, poses in views.items()]

@@ -28,8 +28,8 @@ SegmentsMode = Literal["none", "auto"]
 between the changes, all that did not move shared."""
 
 SweepMode = Literal["converged", "paper"]
-"""Of stage 1. converged: from each start the paper's sweep of closed-form updates, then on to the minimum of E_3D below;
-and where no chain comes close to most views, consensus. paper: the sweep alone."""
+"""Of stage 1. converged: from each start the paper's sweep of closed-form updates, then on to the minimum of E_3D; and
+where no chain comes close to most views, consensus. paper: the sweep alone."""
 
 ClockMode = Literal["test", "estimate", "per_camera", "trust"]
 """test: the stamps are taken as they are, and a warning says what offset the data want. estimate: one offset between

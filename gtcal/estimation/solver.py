@@ -27,6 +27,7 @@ from gtcal.estimation.priors import contradictions
 from gtcal.estimation.residuals import chain_residuals_px, median_by_view, norms
 from gtcal.files import InputFile
 from gtcal.progress import Progress, silent
+from gtcal.recordings.detections import IntArray
 from gtcal.results.calibration import (
     Calibration,
     CameraCalibration,
@@ -48,6 +49,9 @@ DISAGREEMENT_RAD = np.deg2rad(3.0)
 LOOSE, LOOSE_PX = 5.0, 1.0
 """How many times worse the corners fit in the chain than with a pose of each view's own, and how badly, to warn of."""
 
+PLAIN_NOISE_MM, PLAIN_NOISE_DEG = 2.0, 0.3
+"""What a mocap or an arm may err by, at random, without something being wrong with the recording."""
+
 MANY_DROPPED, SOME_DROPPED = 0.25, 0.05
 """Shares of gross views that an operator should hear of: that contradict the chain, and that noise does not explain.
 The second by two sigma of the count, and by more than two views."""
@@ -55,6 +59,7 @@ The second by two sigma of the count, and by more than two views."""
 REFUTED_SIGMAS = 3.0
 """By so many standard errors of the hold-out error the noise model is wrong, and not only not better."""
 
+_MOMENTS_SHOWN = 6
 _MIN_VIEWS = 3
 _WEIGHINGS, _SAME_WEIGHT = 2, np.log(1.5)
 
@@ -167,7 +172,7 @@ def _warnings(
     """The motion is looked at again without the gross views, whose wrong poses would pass for turns."""
     motion = _motion_warnings(adjusted.screened.views, options)
     weak = _weakness_warnings(observations, adjusted, sigmas, options) if 3 in options.stages else ()
-    return (*motion, *_screening_warnings(adjusted), *weak, *_prior_warnings(adjusted, options))
+    return (*motion, *_screening_warnings(adjusted, observations.views), *weak, *_prior_warnings(adjusted, options))
 
 
 def _prior_warnings(adjusted: Adjusted, options: CalibrationOptions) -> tuple[str, ...]:
@@ -180,13 +185,21 @@ def fit_warnings(reports: Sequence[StageReport], noise: MocapNoise | None) -> tu
     begin with PnP's; the stage that was taken is the one that counts."""
     alone, stage = reports[0], noise.stage if noise is not None else 3
     taken = next((report for report in reports if report.stage == stage), None)
-    if taken is None or not taken.median_px > max(LOOSE * alone.median_px, LOOSE_PX):
+    if taken is None or not taken.median_px > max(LOOSE * alone.median_px, LOOSE_PX) or _is_plain_noise(noise):
         return ()
     return (
         f"corners lie {taken.median_px:.2g} px off, typically, but {alone.median_px:.2g} px where each view has a "
         "board pose of its own: the mocap's poses do not go with the images; look for a clock offset or for loose "
         "markers",
     )
+
+
+def _is_plain_noise(noise: MocapNoise | None) -> bool:
+    """Whether the mocap's poses scatter as noise does, and by no more than a mocap's or an arm's."""
+    if noise is None or noise.stage != 4:
+        return False
+    sigmas_mm, sigmas_deg = noise.translation_sigma_mm.values(), noise.rotation_sigma_deg.values()
+    return max(sigmas_mm) < PLAIN_NOISE_MM and max(sigmas_deg) < PLAIN_NOISE_DEG
 
 
 def _weakness_warnings(
@@ -226,13 +239,22 @@ def _gross_warnings(dropped: tuple[Dropped, ...], observations: Observations) ->
     )
 
 
-def _screening_warnings(adjusted: Adjusted) -> tuple[str, ...]:
+def _screening_warnings(adjusted: Adjusted, views: Mapping[str, Views]) -> tuple[str, ...]:
+    start_ns = min(int(of_camera.stamps_ns[0]) for of_camera in views.values())
     return tuple(
-        f"camera {name!r}: {np.mean(~keep):.0%} of its views contradict the chain and were left out; a mocap body that "
-        "swaps, or a clock that drifts, looks like that"
+        f"camera {name!r}: {np.mean(~keep):.0%} of its views contradict the chain and were left out "
+        f"({_moments(views[name].stamps_ns[~keep] - start_ns)}); a mocap body that swaps, or a clock that "
+        "drifts, looks like that"
         for name, keep in adjusted.screened.keep_view.items()
         if np.mean(~keep) > MANY_DROPPED
     )
+
+
+def _moments(since_start_ns: IntArray) -> str:
+    """When, since the first image."""
+    shown = ", ".join(f"{1e-9 * moment:.2f}" for moment in since_start_ns[:_MOMENTS_SHOWN])
+    n_more = len(since_start_ns) - _MOMENTS_SHOWN
+    return f"at {shown} s" + (f" and {n_more} more" if n_more > 0 else "")
 
 
 def _align(
