@@ -260,7 +260,7 @@ def test_gross_views_do_not_decide_the_alignment(share: float) -> None:
 
 def test_stage_2_lowers_the_energy_that_the_sweep_left() -> None:
     of_camera = guides(synchronise(simulated(FIXED).recording))
-    aligned = stage_1(of_camera, np.random.default_rng(0))
+    aligned = stage_1(of_camera, np.random.default_rng(0), method="paper")
     _, minimised = stage_2(aligned.views, aligned.estimate, **STAGE_2)
     sums = [alignment_sums(v.ref_T_body, v.pnp_camera_T_board, v.corner_moments) for v in aligned.views.values()]
     Y = np.stack(list(aligned.estimate.camera_T_ref.values()))[None]

@@ -29,6 +29,7 @@ _FIRST_DAMPING, _LARGEST_DAMPING, _FACTOR = 1e-4, 1e12, 8.0
 _OPEN = 1e-12  # of the largest eigenvalue: a translation that the motion does not tell stays where it is
 _FLAT = 1e-10  # likewise, of a rotation
 _LONGEST_RAD = 0.5  # of a step
+_TOGETHER = 1e-3  # rad: far within the basin of any minimum
 _ROUNDING = 1e-12  # of the largest terms of E_3D
 
 
@@ -83,12 +84,22 @@ def descend(sums: Sequence[AlignmentSums], camera_T_ref: FloatArray, body_T_boar
 
 
 def converged_sweep(sums: Sequence[AlignmentSums], rng: np.random.Generator, n_starts: int = N_STARTS) -> SweepResult:
-    """From each start the sweep of closed-form updates, and on to the minimum below; the start that ends lowest."""
+    """From each start the sweep of closed-form updates, and on to the minimum below; the start that ends lowest. Starts
+    that the sweep has brought together go on as one."""
     Y, X = swept(sums, rng, n_starts)
-    found = descend(sums, Y, X)
+    chosen, leader = _apart(Y, X)
+    found = descend(sums, Y[chosen], X[chosen])
     rmse_m = np.sqrt(found.energy_m2 / sum(s.n_corners for s in sums))
     best = int(rmse_m.argmin())
-    return SweepResult(found.camera_T_ref[best], found.body_T_board[best], float(rmse_m[best]), rmse_m, found.n_steps)
+    pose = found.camera_T_ref[best], found.body_T_board[best]
+    return SweepResult(*pose, float(rmse_m[best]), rmse_m[leader], found.n_steps)
+
+
+def _apart(Y: FloatArray, X: FloatArray) -> tuple[IntArray, IntArray]:
+    """The starts that are apart in some rotation, and of each start its place among them."""
+    turns = np.concatenate([X[:, None, :3, :3], Y[:, :, :3, :3]], axis=1).reshape(len(X), -1)
+    together = np.abs(turns[:, None] - turns).max(axis=2) < _TOGETHER
+    return np.unique(together.argmax(axis=1), return_inverse=True)
 
 
 def _turned(Y: FloatArray, X: FloatArray, turn: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -123,16 +134,34 @@ def _turn(sums: Sequence[AlignmentSums], Y: FloatArray, X: FloatArray, damping: 
 def _with_best_translations(
     sums: Sequence[AlignmentSums], Y: FloatArray, X: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """The poses with the translations that minimise E_3D, their rotations as they are."""
+    """The poses with the translations that minimise E_3D, their rotations as they are.
+
+    Given X's, n t_c = sum q - R_c (sum A X p); with these, X's t solves a system of 3 x 3 that no rotation changes:
+    (n I - sum_c N_c^T N_c / n_c) t = b, N_c the sum of the bodies' rotations over the corners."""
     Y, X = Y.copy(), X.copy()
-    X[:, :3, 3], Y[:, :, :3, 3] = 0.0, 0.0
-    gradient, hessian = derivatives(sums, Y, X)
-    _, shifts = _columns(Y.shape[1])
-    inverse = _pseudo_inverse(hessian[:, shifts[:, None], shifts])
-    shift = -np.einsum("bij,bj->bi", inverse, gradient[:, shifts]).reshape(len(X), -1, 3)
-    X[:, :3, 3] = np.einsum("bij,bj->bi", X[:, :3, :3], shift[:, 0])
-    Y[:, :, :3, 3] = np.einsum("bcij,bcj->bci", Y[:, :, :3, :3], shift[:, 1:])
+    X[:, :3, 3] = 0.0
+    n = sum(s.n_corners for s in sums)
+    system = n * np.eye(3) - sum(s.K[3, 3, :3, :3].T @ s.K[3, 3, :3, :3] / s.n_corners for s in sums)
+    wanted = -X[:, :3, :3] @ np.sum([s.M[:3, 3] for s in sums], axis=0)
+    placed, seen = [], []
+    for c, s in enumerate(sums):
+        R, N = Y[:, c, :3, :3], s.K[3, 3, :3, :3]
+        H = _product(s.K, X)
+        placed.append(H[:, 3, :3])
+        seen.append(np.einsum("bij,bi->bj", R, H[:, :3, 3]))
+        wanted += s.L[:3, 3, 3, 3] + np.einsum("bik,ikl->bl", R, s.K[:3, 3, :3, :3])
+        wanted -= (seen[-1] - placed[-1]) @ N / s.n_corners
+    X[:, :3, 3] = wanted @ _pseudo_inverse(system[None])[0]
+    for c, s in enumerate(sums):
+        in_ref = (seen[c] - placed[c] - X[:, :3, 3] @ s.K[3, 3, :3, :3].T) / s.n_corners
+        Y[:, c, :3, 3] = np.einsum("bij,bj->bi", Y[:, c, :3, :3], in_ref)
     return Y, X
+
+
+def _product(K: FloatArray, X: FloatArray) -> FloatArray:
+    """H (..., 4, 4) with H_ik = K_ijkl X_lj, of X (..., 4, 4)."""
+    as_matrix = K.transpose(3, 1, 0, 2).reshape(16, 16)
+    return np.asarray((X.reshape(-1, 16) @ as_matrix).reshape(X.shape))
 
 
 def _columns(n_cameras: int) -> tuple[IntArray, IntArray]:
@@ -167,25 +196,32 @@ def derivatives(
         columns = slice(6 + 6 * c, 12 + 6 * c)
         Y = camera_T_ref[:, c]
         C, C_a, C_ab = _weights(Y)
-        H = np.einsum("ijkl,blj->bik", s.K, body_T_board)
-        H_a = np.einsum("ijkl,balj->baik", s.K, X_a)
+        H, H_a = _product(s.K, body_T_board), _product(s.K, X_a)
         Y_a, Y_ab = (Y[:, None] @ _FIRST)[..., :3, 3], (Y[:, None, None] @ _SECOND)[..., :3, 3]
         t = Y[:, :3, 3]
-        gradient[:, columns] = np.einsum("baik,bik->ba", C_a, H) + 2.0 * s.n_corners * np.einsum("bai,bi->ba", Y_a, t)
-        hessian[:, columns, columns] = np.einsum("bacik,bik->bac", C_ab, H) + 2.0 * s.n_corners * (
+        gradient[:, columns] = _dots(C_a, H) + 2.0 * s.n_corners * np.einsum("bai,bi->ba", Y_a, t)
+        hessian[:, columns, columns] = _dots(C_ab, H) + 2.0 * s.n_corners * (
             np.einsum("bai,bci->bac", Y_a, Y_a) + np.einsum("baci,bi->bac", Y_ab, t)
         )
-        hessian[:, :6, columns] = np.einsum("bcik,baik->bac", C_a, H_a)
+        hessian[:, :6, columns] = _flat(H_a) @ np.swapaxes(_flat(C_a), 1, 2)
         hessian[:, columns, :6] = np.swapaxes(hessian[:, :6, columns], 1, 2)
-        by_X += np.einsum("bik,ijkl->blj", C, s.K)
+        by_X += (C.reshape(-1, 16) @ s.K.transpose(0, 2, 3, 1).reshape(16, 16)).reshape(C.shape)
         by_X[:, :3] -= 2.0 * s.L[:3, 3, 3]
-    in_body = 2.0 * body_T_board[:, :3] @ M
-    slope = by_X[:, :3] + in_body
-    gradient[:, :6] = np.einsum("blj,balj->ba", slope, X_a[..., :3, :])
-    hessian[:, :6, :6] = np.einsum("blj,baclj->bac", slope, X_ab[..., :3, :]) + 2.0 * np.einsum(
-        "bali,ij,bclj->bac", X_a[..., :3, :], M, X_a[..., :3, :]
-    )
+    slope = by_X + 2.0 * body_T_board @ M
+    slope[:, 3] = 0.0
+    gradient[:, :6] = _dots(X_a, slope)
+    hessian[:, :6, :6] = _dots(X_ab, slope) + 2.0 * _flat(X_a @ M) @ np.swapaxes(_flat(X_a), 1, 2)
     return gradient, hessian
+
+
+def _flat(matrices: FloatArray) -> FloatArray:
+    return matrices.reshape(*matrices.shape[:-2], 16)
+
+
+def _dots(many: FloatArray, one: FloatArray) -> FloatArray:
+    """(B, ...) products, summed over the entries, of matrices (B, ..., 4, 4) with one (B, 4, 4)."""
+    flat = many.reshape(len(one), -1, 16) @ one.reshape(-1, 16, 1)
+    return np.asarray(flat.reshape(many.shape[:-2]))
 
 
 def _weights(Y: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:

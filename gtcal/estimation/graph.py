@@ -139,9 +139,15 @@ class Minimisation:
 
 
 def minimise(
-    graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, *, eps: float, max_iterations: int
+    graph: gtsam.NonlinearFactorGraph,
+    values: gtsam.Values,
+    *,
+    eps: float,
+    max_iterations: int,
+    least_gain: float = float("inf"),
 ) -> Minimisation:
-    """Levenberg-Marquardt until an iteration improves the error E by less than eps (1 + E).
+    """Levenberg-Marquardt until an iteration improves the error E by less than eps (1 + E), and by less than
+    ``least_gain``: of a whitened error, a gain of 1/2 can be a step of a whole sigma.
 
     Damped by the Hessian's diagonal: rad, m, px and distortion coefficients stand side by side in one graph."""
     parameters = gtsam.LevenbergMarquardtParams()
@@ -152,5 +158,5 @@ def minimise(
     while len(errors) <= max_iterations and not converged:
         optimizer.iterate()
         errors.append(optimizer.error())
-        converged = not errors[-2] - errors[-1] >= eps * (1.0 + errors[-1])
+        converged = not errors[-2] - errors[-1] >= min(eps * (1.0 + errors[-1]), least_gain)
     return Minimisation(optimizer.values(), tuple(errors), converged and bool(np.isfinite(errors[-1])))
