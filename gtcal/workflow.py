@@ -19,6 +19,7 @@ from gtcal.estimation.options import CalibrationOptions
 from gtcal.estimation.solver import DisagreementError, calibrate_observations
 from gtcal.files import fingerprint
 from gtcal.progress import Progress, silent
+from gtcal.recordings.manifest import MANIFEST_NAMES
 from gtcal.recordings.recording import Recording
 from gtcal.results.calibration import Calibration, Clock, StageReport
 
@@ -61,7 +62,10 @@ def calibrate(
 
 def _doctor(recording: Recording) -> str:
     """What to run to find out what is wrong with it."""
-    return f"'gtcal doctor {recording.path.parent if recording.path is not None else 'RECORDING'}'"
+    if recording.path is None:
+        return "'gtcal doctor RECORDING'"
+    by_folder = recording.path.name in MANIFEST_NAMES
+    return f"'gtcal doctor {recording.path.parent if by_folder else recording.path}'"
 
 
 def prepared(

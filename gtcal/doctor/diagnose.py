@@ -4,7 +4,7 @@ makes the rest agree better."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Set
+from collections.abc import Callable, Mapping, Set
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -114,6 +114,13 @@ class Patient:
     def said(self) -> dict[str, object]:
         """The manifest's fields."""
         return {} if self.file is None else self.file.fields
+
+    @property
+    def _body_offsets_ns(self) -> dict[str, int]:
+        """What the manifest adds to the stamps of each body; of none where there is no manifest."""
+        if self.file is None:
+            return {}
+        return {body: entry.stamp_offset_ns for body, entry in self.file.manifest().bodies.items()}
 
     @property
     def fits(self) -> dict[str, AloneFit]:
@@ -289,7 +296,11 @@ class Patient:
                 f"{1e-9 * mocap_last_ns:.3f} s, and at no other unit or offset do they agree"
             )
             return
-        self._add(Mended(shifted(self.recording, shift_s), _clock_finding(shift_s, np.inf, fit.misfit_mm)))
+        self._add(
+            Mended(
+                shifted(self.recording, shift_s), _clock_finding(shift_s, np.inf, fit.misfit_mm, self._body_offsets_ns)
+            )
+        )
 
     def _look_at_backs(self) -> None:
         """Views from behind: mirrored images, or corners counted the other way round."""
@@ -376,7 +387,7 @@ class Patient:
         if explained.board_scale != 1.0:
             parts.append(self._scale_part(explained.board_scale))
         if explained.shift_s != 0.0:
-            parts.append(_shift_part(explained.shift_s))
+            parts.append(_shift_part(explained.shift_s, self._body_offsets_ns))
         before_mm = []
         for part in parts:
             without = self.recording
@@ -439,7 +450,7 @@ class Patient:
             found = search.shifted(motion, stated)
             if found.shift_s == 0.0 or not found.fit.angle_rad <= CONVINCING_NUMBER * stated.angle_rad:
                 continue
-            finding = _clock_finding(found.shift_s, stated.misfit_mm, found.fit.misfit_mm, name)
+            finding = _clock_finding(found.shift_s, stated.misfit_mm, found.fit.misfit_mm, {}, name)
             self._add(Mended(shifted(self.recording, found.shift_s, (name,)), finding))
 
     def _note_what_cannot_be_told(self) -> None:
@@ -472,21 +483,33 @@ def _mirrored(recording: Recording, cameras: tuple[str, ...], axis: int) -> Reco
     return replace(recording, detections=recording.detections | moved)
 
 
-def _shift_part(shift_s: float) -> _Part:
+def _shift_part(shift_s: float, body_offsets_ns: Mapping[str, int]) -> _Part:
     return _Part(
         lambda recording: shifted(recording, shift_s),
-        lambda before, after: _clock_finding(shift_s, before, after),
+        lambda before, after: _clock_finding(shift_s, before, after, body_offsets_ns),
     )
 
 
-def _clock_finding(shift_s: float, before_mm: float, after_mm: float, camera: str | None = None) -> Finding:
+def _clock_finding(
+    shift_s: float,
+    before_mm: float,
+    after_mm: float,
+    body_offsets_ns: Mapping[str, int],
+    camera: str | None = None,
+) -> Finding:
+    """body_offsets_ns: what the manifest adds to each body's stamps; the mocap's put earlier are the cameras' put
+    later."""
     whose = f"the clock of {camera}" if camera else "the cameras' clock"
     stamps = f"the time stamps of {camera}" if camera else "the time stamps of all cameras"
     says = f"{whose} is {abs(shift_s):.3f} s {'behind' if shift_s > 0 else 'ahead of'} the mocap's"
-    advice = [f"add {shift_s:+.4f} s to {stamps}"]
+    lines: tuple[str, ...] = ()
+    advice = f"add {shift_s:+.4f} s to {stamps}"
     if abs(shift_s) < 0.5:
-        advice.insert(0, f"gtcal calibrate --clock {'per_camera' if camera else 'estimate'}")
-    return Finding("clock offset", says, (), (" or ".join(advice),), MISFIT, before_mm, after_mm, "mm")
+        advice = f"gtcal calibrate --clock {'per_camera' if camera else 'estimate'} or {advice}"
+    elif body_offsets_ns:
+        shift_ns = round(1e9 * shift_s)
+        lines = tuple(f"{body}.stamp_offset_ns: {offset_ns - shift_ns}" for body, offset_ns in body_offsets_ns.items())
+    return Finding("clock offset", says, lines, () if lines else (advice,), MISFIT, before_mm, after_mm, "mm")
 
 
 def _chosen(patients: list[Patient]) -> tuple[Patient, tuple[str, ...]]:

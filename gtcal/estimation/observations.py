@@ -166,7 +166,11 @@ def _time_base_hint(camera_ns: IntArray, body: str, body_ns: IntArray) -> str:
     if nearest in _TIME_UNITS and abs(abs(power) - nearest) < 0.15:
         relation = "larger" if power > 0 else "smaller"
         return f"; the camera's are about {_TIME_UNITS[nearest]} times {relation}: check {body}.time_unit"
-    return "; are they from two recordings, or from clocks that start at different times?"
+    return (
+        "; are they from two recordings, or from clocks that start at different times? Of one recording, 'gtcal "
+        f"doctor' finds the offset; {body}.stamp_offset_ns: {int(camera_ns[0]) - int(body_ns[0])} would have both "
+        "start together"
+    )
 
 
 def _nothing_left(name: str, dropped: list[Dropped], motion: RefMotion) -> str:
