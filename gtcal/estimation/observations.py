@@ -83,7 +83,7 @@ def synchronise(recording: Recording, *, min_corners: int = 4) -> Observations:
     for name in recording.cameras:
         detections = _detections(recording, name)
         for body, trajectory in recording.motion.trajectories.items():
-            _check_overlap(name, detections.stamps_ns, body, trajectory.stamps_ns)
+            check_overlap(name, detections.stamps_ns, body, trajectory.stamps_ns)
         reasons = _reasons_to_drop(recording.motion, detections, min_corners)
         dropped_here = _count(name, detections, reasons)
         keep = ~np.any(list(reasons.values()), axis=0)
@@ -145,7 +145,8 @@ def _count(name: str, detections: CameraDetections, reasons: dict[str, BoolArray
     ]
 
 
-def _check_overlap(camera: str, camera_ns: IntArray, body: str, body_ns: IntArray) -> None:
+def check_overlap(camera: str, camera_ns: IntArray, body: str, body_ns: IntArray) -> None:
+    """Raises GtcalError where a camera's images and a body's trajectory share no time."""
     if camera_ns[-1] >= body_ns[0] and camera_ns[0] <= body_ns[-1]:
         return
     raise GtcalError(
@@ -167,9 +168,9 @@ def _time_base_hint(camera_ns: IntArray, body: str, body_ns: IntArray) -> str:
         relation = "larger" if power > 0 else "smaller"
         return f"; the camera's are about {_TIME_UNITS[nearest]} times {relation}: check {body}.time_unit"
     return (
-        "; are they from two recordings, or from clocks that start at different times? Of one recording, 'gtcal "
-        f"doctor' finds the offset; {body}.stamp_offset_ns: {int(camera_ns[0]) - int(body_ns[0])} would have both "
-        "start together"
+        "; are they from two recordings, or from clocks that start at different times? Of one recording, "
+        f"{body}.stamp_offset_ns: {int(camera_ns[0]) - int(body_ns[0])} would have both start together; 'gtcal doctor' "
+        "finds the offset of a calibration's"
     )
 
 

@@ -9,6 +9,8 @@ from typing import Literal
 
 import numpy as np
 
+from gtcal.camera import Camera
+from gtcal.estimation.observations import check_overlap
 from gtcal.files import InputFile
 from gtcal.progress import Progress, silent
 from gtcal.recordings.detections import IntArray
@@ -58,6 +60,7 @@ def verify(
     check_seen(recording, names)
     frames = np.unique(np.concatenate([_stamps_ns(recording, name) for name in names]))
     times = sighting_times(calibration, options)
+    _check_times(recording, lenses, times)
     sightings, paths, left_out = _compared(recording, calibration, options, names, frames, times, progress)
     check_related(paths, recording.device)
     clock_offset_s = None
@@ -94,6 +97,15 @@ def verify(
         calibration=calibration,
         recording=recording,
     )
+
+
+def _check_times(recording: LollypopRecording, cameras: Mapping[str, Camera], times: SightingTimes) -> None:
+    """Raises GtcalError where a camera that saw the device shares no time with a trajectory."""
+    for name, camera in cameras.items():
+        stamps_ns = recording.detections[name].stamps_ns
+        if len(stamps_ns):
+            for body, trajectory in recording.motion.trajectories.items():
+                check_overlap(name, times.mocap_ns(camera, stamps_ns), body, trajectory.stamps_ns)
 
 
 def _compared(
