@@ -456,6 +456,20 @@ def test_a_wrong_body() -> None:
     )
 
 
+@pytest.mark.parametrize("clock", ["calibration", "estimate"])
+def test_no_time_in_common(clock: str) -> None:
+    simulation = simulated()
+    body = simulation.recording.device_body
+    late = replace(body, stamps_ns=body.stamps_ns + 3_600_000_000_000)
+    with pytest.raises(GtcalError, match=r"share no time.*stamp_offset_ns: -36") as error:
+        verify(
+            replace(simulation.recording, device_body=late),
+            simulation.true_calibration(),
+            VerificationOptions(clock=clock),  # type: ignore[arg-type]
+        )
+    assert "\n" not in str(error.value)
+
+
 def test_a_calibration_of_another_rig() -> None:
     simulation, other = simulated(), simulated("exact", 5)
     calibration = simulation.true_calibration()
