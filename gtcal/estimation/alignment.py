@@ -18,7 +18,7 @@ from factors.moments import chain
 from factors.rigid import inverse
 from gtcal.camera import BoolArray, FloatArray
 from gtcal.estimation.alignment_descent import converged_sweep
-from gtcal.estimation.consensus import ViewPoses, consensus
+from gtcal.estimation.consensus import ViewPoses, consensus, rotation_between, rotation_by_turns
 from gtcal.estimation.estimate import Estimate
 from gtcal.estimation.graph import AlignmentViews, Minimisation, alignment_graph, minimise, to_values, updated
 from gtcal.estimation.observations import Views
@@ -34,6 +34,9 @@ fault but distance do no harm: stage 3 takes them all."""
 
 _TURN_FLOOR_RAD = np.deg2rad(1.0)
 """Turns that differ by less agree: PnP is no better than that on a distant board."""
+
+_FEWEST_JUDGED = 6
+"""Of fewer views of a camera none is left out: each of them is needed, and which of them is wrong is not to be told."""
 
 _MAX_REFERENCES = 200
 
@@ -145,12 +148,26 @@ def _swept(
         )
         for v in chosen.values()
     ]
-    found = (sweep if method == "paper" else converged_sweep)(sums, rng, n_starts)
+    if method == "paper":
+        found = sweep(sums, rng, n_starts)
+    else:
+        found = converged_sweep(sums, rng, n_starts, more=_by_turns(chosen))
     return replace(
         found,
         camera_T_ref=found.camera_T_ref @ inverse(ref_T_middle),
         body_T_board=found.body_T_board @ to_middle,
     )
+
+
+def _by_turns(chosen: Mapping[str, AlignmentViews]) -> tuple[FloatArray, FloatArray]:
+    """Starts (k, C, 4, 4) and (k, 4, 4), one by the turns between the views of each camera: rotations only."""
+    rotations = [(v.ref_T_body[None, :, :3, :3], v.pnp_camera_T_board[None, :, :3, :3]) for v in chosen.values()]
+    R_X = np.concatenate([rotation_by_turns(A, That) for A, That in rotations])
+    X, Y = np.tile(np.eye(4), (len(R_X), 1, 1)), np.tile(np.eye(4), (len(R_X), len(rotations), 1, 1))
+    X[:, :3, :3] = R_X
+    for c, (A, That) in enumerate(rotations):
+        Y[:, c, :3, :3] = rotation_between(A @ R_X[:, None], np.broadcast_to(That, (len(R_X), *That.shape[1:])))
+    return Y, X
 
 
 def _share_of_distance(guides: Mapping[str, GuideViews], estimate: Estimate) -> float:
@@ -173,9 +190,11 @@ def fitting_views(guides: Mapping[str, GuideViews], estimate: Estimate) -> dict[
 
 
 def _fits(rms_m: FloatArray, median_m: float) -> BoolArray:
-    """Mask (W,) of the fitting views; a camera none of whose views fit keeps its better half."""
+    """Mask (W,) of the fitting views; a camera none of whose views fit keeps its better half, one of few views all."""
     best = rms_m.min(axis=1)
     fits = best <= _GATE * median_m
+    if len(best) < _FEWEST_JUDGED:
+        return np.ones(len(best), dtype=bool)
     return fits if fits.sum() >= 3 else best <= np.median(best)
 
 
@@ -185,6 +204,7 @@ def _agreeing_views(guide: GuideViews) -> AlignmentViews:
     by_pnp, by_mocap = (turns_rad(poses) for poses in (guide.pnp_camera_T_board[:, 0], guide.views.ref_T_body))
     mismatch_rad = np.median(np.abs(by_pnp - by_mocap), axis=1)
     agree = mismatch_rad <= max(_GATE * float(np.median(mismatch_rad)), _TURN_FLOOR_RAD)
+    agree |= len(agree) < _FEWEST_JUDGED
     return guide.alignment_views(agree, np.zeros(len(agree), dtype=np.int64))
 
 

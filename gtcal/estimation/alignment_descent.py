@@ -83,10 +83,19 @@ def descend(sums: Sequence[AlignmentSums], camera_T_ref: FloatArray, body_T_boar
     return Descended(Y, X, np.maximum(energy, 0.0), ~active, n_steps)
 
 
-def converged_sweep(sums: Sequence[AlignmentSums], rng: np.random.Generator, n_starts: int = N_STARTS) -> SweepResult:
+def converged_sweep(
+    sums: Sequence[AlignmentSums],
+    rng: np.random.Generator,
+    n_starts: int = N_STARTS,
+    *,
+    more: tuple[FloatArray, FloatArray] | None = None,
+) -> SweepResult:
     """From each start the sweep of closed-form updates, and on to the minimum below; the start that ends lowest. Starts
-    that the sweep has brought together go on as one."""
+    that the sweep has brought together go on as one. more: camera_T_ref (k, C, 4, 4) and body_T_board (k, 4, 4) of
+    other starts, which are not swept."""
     Y, X = swept(sums, rng, n_starts)
+    if more is not None:
+        Y, X = np.concatenate([Y, more[0]]), np.concatenate([X, more[1]])
     chosen, leader = _apart(Y, X)
     found = descend(sums, Y[chosen], X[chosen])
     rmse_m = np.sqrt(found.energy_m2 / sum(s.n_corners for s in sums))

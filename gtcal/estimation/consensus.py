@@ -82,10 +82,8 @@ def _proposals(views: ViewPoses, rng: np.random.Generator) -> FloatArray:
 def _chains(views: ViewPoses, samples: IntArray) -> tuple[FloatArray, FloatArray]:
     """camera_T_ref and body_T_board (B, 4, 4) from samples (B, s) of a camera's views."""
     A, That = views.ref_T_body[samples], views.pnp_camera_T_board[samples]
-    first, second = np.triu_indices(samples.shape[1], 1)
-    by_body, by_board = (_turns(poses[:, first, :3, :3], poses[:, second, :3, :3]) for poses in (A, That))
-    R_X = _closest_rotation(np.einsum("bpi,bpj->bij", by_body, by_board))
-    R_Y = _closest_rotation(np.einsum("bvij,bvkj->bik", That[..., :3, :3], A[..., :3, :3] @ R_X[:, None]))
+    R_X = rotation_by_turns(A[..., :3, :3], That[..., :3, :3])
+    R_Y = rotation_between(A[..., :3, :3] @ R_X[:, None], That[..., :3, :3])
     middle = views.moments[samples][..., :3, 3] / views.moments[samples][..., 3:, 3]
     seen = np.einsum("bvij,bvj->bvi", That[..., :3, :3], middle) + That[..., :3, 3]
     placed = np.einsum("bvij,bjk,bvk->bvi", A[..., :3, :3], R_X, middle) + A[..., :3, 3]
@@ -97,6 +95,19 @@ def _chains(views: ViewPoses, samples: IntArray) -> tuple[FloatArray, FloatArray
     X[:, :3, :3], X[:, :3, 3] = R_X, solved[:, :3, 0]
     Y[:, :3, :3], Y[:, :3, 3] = R_Y, np.einsum("bij,bj->bi", R_Y, solved[:, 3:, 0])
     return Y, X
+
+
+def rotation_by_turns(ref_R_body: FloatArray, camera_R_board: FloatArray) -> FloatArray:
+    """(B, 3, 3) rotations of X that take the turns between a camera's views, (B, v, 3, 3), from the board's axes to the
+    body's (Park and Martin 1994)."""
+    first, second = np.triu_indices(ref_R_body.shape[1], 1)
+    by_body, by_board = (_turns(R[:, first], R[:, second]) for R in (ref_R_body, camera_R_board))
+    return _closest_rotation(np.einsum("bpi,bpj->bij", by_body, by_board))
+
+
+def rotation_between(from_R: FloatArray, to_R: FloatArray) -> FloatArray:
+    """(B, 3, 3) rotations R with R from_R closest to to_R, (B, v, 3, 3)."""
+    return _closest_rotation(np.einsum("bvij,bvkj->bik", to_R, from_R))
 
 
 def _turns(from_R: FloatArray, to_R: FloatArray) -> FloatArray:
