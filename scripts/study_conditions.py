@@ -108,9 +108,8 @@ def recording(conditions: Conditions) -> tuple[dict[str, GuideViews], Chain, Boo
     """The views by camera, the true chain, and which frames are good."""
     rng = np.random.default_rng([1, conditions.seed])
     n = conditions.n_views
-    ref_T_board = transform(
-        _turns(rng, n, conditions.turn_deg), rng.normal(0.0, 0.2, (n, 3)) + [0.0, 0.0, rng.uniform(0.5, 2.0)]
-    )
+    middle_m = np.array([0.0, 0.0, rng.uniform(0.5, 2.0)])
+    ref_T_board = transform(_turns(rng, n, conditions.turn_deg), rng.normal(0.0, 0.2, (n, 3)) + middle_m)
     body_T_board = _placed(rng, conditions.body_lever_m)
     world_T_ref = _placed(rng, conditions.lever_m)
     ref_T_body = world_T_ref @ ref_T_board @ inverse(body_T_board)

@@ -91,7 +91,8 @@ def test_its_pixel_noise_is_that_of_the_pixels_alone():
 
 
 def test_where_the_mocap_is_taken_as_exact_the_frames_are_clustered():
-    found = calibrate_observations(synchronise(simulation(0).recording), CalibrationOptions(mocap="exact"))
+    options = CalibrationOptions(intrinsics="exact", mocap="exact")
+    found = calibrate_observations(synchronise(simulation(0).recording), options)
     assert (found.covariance_kind, found.mocap_noise, list(found.estimates)) == (CLUSTERED, None, [3])
     ratio = np.diag(found.covariances[CLUSTERED].matrix) / np.diag(found.covariances[NAIVE].matrix)
     assert (ratio > 5).all()

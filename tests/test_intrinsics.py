@@ -15,6 +15,7 @@ from scipy.spatial.transform import Rotation
 from factors import CAMERA_MODELS, PINHOLE_RADTAN
 from gtcal.camera import Camera
 from gtcal.errors import GtcalError
+from gtcal.estimation.errors_in_variables import GROSS
 from gtcal.estimation.intrinsics import calibrate_intrinsics
 from gtcal.estimation.observations import Views, synchronise
 from gtcal.estimation.options import CalibrationOptions
@@ -176,7 +177,7 @@ def test_richer_fisheyes_take_the_views_of_simpler_ones() -> None:
 def test_refinement_brings_wrong_intrinsics_to_the_truth(prior: str) -> None:
     simulation = simulated(HEADSET, intrinsics="perturbed")
     observations = synchronise(simulation.recording)
-    fixed = calibrate_observations(observations)
+    fixed = calibrate_observations(observations, CalibrationOptions(intrinsics="exact"))
     options = CalibrationOptions(intrinsics="refine", intrinsics_prior=prior)
     refined = calibrate_observations(observations, options)
     assert refined.rmse_px < 0.3 < fixed.rmse_px
@@ -203,10 +204,13 @@ def test_refined_intrinsics_come_with_their_covariance() -> None:
 
 def test_fixed_intrinsics_stay_bit_for_bit() -> None:
     simulation = simulated(HEADSET)
-    calibration = calibrate_observations(synchronise(simulation.recording))
-    for name, theta in simulation.truth.intrinsics.items():
-        np.testing.assert_array_equal(calibration.cameras[name].camera.theta, theta)
-        assert calibration.cameras[name].theta_covariance is None
+    for mode in ("exact", "fixed"):
+        options = CalibrationOptions(intrinsics=mode)
+        calibration = calibrate_observations(synchronise(simulation.recording), options)
+        for name, theta in simulation.truth.intrinsics.items():
+            np.testing.assert_array_equal(calibration.cameras[name].camera.theta, theta)
+            assert calibration.cameras[name].theta_covariance is None
+            assert calibration.cameras[name].lens_moves == ()
 
 
 # Real data
@@ -228,6 +232,8 @@ def test_real_images_without_intrinsics(vicon_recording: Callable[..., Path]) ->
     calibration = calibrate(recording, CalibrationOptions(intrinsics="calibrate"))
     residuals = calibration.cameras["cam0"].residuals
     assert residuals.rmse_px <= 1.0
-    assert residuals.n_views == 30
+    gross = [drop for drop in calibration.dropped if drop.n_views]
+    assert residuals.n_views + sum(drop.n_views for drop in gross) == 30
+    assert all(drop.reason == GROSS and drop.n_views == 1 for drop in gross)  # by stage 4
     assert residuals.n_corners >= 3800
     assert calibration.stages[0].error_after < 0.25

@@ -11,7 +11,7 @@ from calibration_support import HEADSET, simulated
 from gtcal.estimation.adjustment import adjust
 from gtcal.estimation.alignment import GuideViews, stage_1, stage_2
 from gtcal.estimation.choice import choose
-from gtcal.estimation.clustered import clustered_covariance, clusters
+from gtcal.estimation.clustered import Priors, clustered_covariance, clusters
 from gtcal.estimation.errors_in_variables import MocapNoiseFit, prior_information
 from gtcal.estimation.estimate import Estimate
 from gtcal.estimation.frame_statistics import FrameMoments, eliminate_noise, frame_moments, frames_of
@@ -46,7 +46,7 @@ def at_stage_3(observations: Observations, options: CalibrationOptions) -> tuple
 
 
 def moments_of(simulation: Simulation) -> tuple[FrameMoments, Observations, np.ndarray]:
-    options = CalibrationOptions()
+    options = CalibrationOptions(intrinsics="exact")
     observations = synchronise(simulation.recording)
     views, estimate = at_stage_3(observations, options)
     frames = frame_moments(views, estimate, sigma_px=0.1, free_theta=False)
@@ -225,17 +225,18 @@ def test_the_sandwich_is_that_of_the_textbook() -> None:
     whole = np.concatenate([np.zeros((G, m, 6)), rows, residual[:, :, None]], axis=2)
     moments = np.swapaxes(whole, 1, 2) @ whole
     frames = FrameMoments(np.arange(G), np.arange(G) * 10**9, moments, 1.0, 1.0, 1)
-    found = clustered_covariance([frames], np.zeros((p + 1, p + 1)), 0.0)
+    nothing = Priors(np.zeros((p, p)), np.zeros((p, p)))
+    found = clustered_covariance([frames], nothing, 0.0)
     np.testing.assert_allclose(found, expected, rtol=1e-8)
     halves = [frames.take(np.arange(6)), frames.take(np.arange(6, G))]
-    np.testing.assert_allclose(clustered_covariance(halves, np.zeros((p + 1, p + 1)), 0.0), expected, rtol=1e-8)
+    np.testing.assert_allclose(clustered_covariance(halves, nothing, 0.0), expected, rtol=1e-8)
 
 
 # Hold-out and choice
 
 
 def test_fewer_frames_than_folds_are_each_held_out() -> None:
-    options = CalibrationOptions()
+    options = CalibrationOptions(intrinsics="exact")
     observations = synchronise(simulated(mocap=TRUE).recording)
     views, estimate = at_stage_3(observations, options)
     few = frames_of(views)[:6]
@@ -243,7 +244,14 @@ def test_fewer_frames_than_folds_are_each_held_out() -> None:
     noise = MocapNoiseModel(dict.fromkeys(observations.motion.trajectories, MocapSigmas(0.2, 0.02)))
     information = prior_information(views, estimate, options)
     sums = hold_out(
-        views, estimate, noise, observations.motion, sigma_px=0.1, free_theta=False, information=information
+        views,
+        estimate,
+        noise,
+        observations.motion,
+        sigma_px=0.1,
+        free_theta=False,
+        information=information,
+        exact_information=information,
     )
     assert len(sums.blocks) == 6 < FOLDS
     assert 0.0 < sums.noisy_rmse_px < np.inf
@@ -252,13 +260,20 @@ def test_fewer_frames_than_folds_are_each_held_out() -> None:
 @pytest.fixture(scope="module", name="held_out")
 def _held_out() -> tuple[MocapNoiseFit, float]:
     """The linear hold-out of stage 3, and the one of a solution anew without each block."""
-    options = CalibrationOptions()
+    options = CalibrationOptions(intrinsics="exact")
     observations = synchronise(simulated(mocap=TRUE, frames=60).recording)
     views, estimate = at_stage_3(observations, options)
     noise = MocapNoiseModel(dict.fromkeys(observations.motion.trajectories, MocapSigmas(0.2, 0.02)))
     information = prior_information(views, estimate, options)
     sums = hold_out(
-        views, estimate, noise, observations.motion, sigma_px=0.1, free_theta=False, information=information
+        views,
+        estimate,
+        noise,
+        observations.motion,
+        sigma_px=0.1,
+        free_theta=False,
+        information=information,
+        exact_information=information,
     )
     return MocapNoiseFit(noise, 0.1, sums, ()), _solved_anew(views, estimate, options)
 
@@ -296,7 +311,7 @@ def test_the_stage_is_chosen_by_what_the_innovations_show(
 def test_a_worse_hold_out_decides_for_stage_3(held_out: tuple[MocapNoiseFit, float]) -> None:
     """Blocks whose noisy sums teach something else than the exact ones."""
     fit = held_out[0]
-    shift = np.eye(len(fit.hold_out.information))
+    shift = np.eye(len(fit.hold_out.exact_information))
     shift[:6, -1] = 0.01
     blocks = tuple(replace(block, noisy=shift.T @ block.noisy @ shift) for block in fit.hold_out.blocks)
     worse = replace(fit, hold_out=replace(fit.hold_out, blocks=blocks))

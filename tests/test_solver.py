@@ -42,7 +42,9 @@ GOOD_MOCAP = MocapNoise(translation_mm=0.05, rotation_deg=0.005)
 
 
 def calibrated(simulation: Simulation, **options: object) -> Calibration:
-    return calibrate_observations(synchronise(simulation.recording), CalibrationOptions(**options))
+    return calibrate_observations(
+        synchronise(simulation.recording), CalibrationOptions(**{"intrinsics": "exact"} | options)
+    )
 
 
 def deviation(found_T: np.ndarray, true_T: np.ndarray) -> np.ndarray:
@@ -75,7 +77,7 @@ def test_with_exact_mocap_the_estimate_is_unbiased_and_the_naive_covariance_true
     nees, whitened = {}, []
     for seed in range(32):
         simulation = simulated.__wrapped__(kind, seed=seed, frames=40, mocap_rate_hz=30.0)
-        options = CalibrationOptions(eps=1e-6, mocap="exact")
+        options = CalibrationOptions(intrinsics="exact", eps=1e-6, mocap="exact")
         calibration = calibrate_observations(with_exact_mocap(simulation), options)
         naive = calibration.covariances[NAIVE]
         poses = {
@@ -136,7 +138,7 @@ def test_stage_3_ends_where_scipy_ends() -> None:
     of_camera = guides(observations)
     aligned = stage_1(of_camera, np.random.default_rng(0))
     start, _ = stage_2(aligned.views, aligned.estimate, eps=1e-4, max_iterations=100)
-    ours = adjust(observations.views, start, CalibrationOptions(eps=1e-12, screen=False)).estimate
+    ours = adjust(observations.views, start, CalibrationOptions(intrinsics="exact", eps=1e-12, screen=False)).estimate
 
     def moved(T: np.ndarray, xi: np.ndarray) -> np.ndarray:
         return T @ gtsam.Pose3.Expmap(xi).matrix()
@@ -166,7 +168,9 @@ def test_the_covariance_is_that_of_the_normal_equations() -> None:
     observations = two_cameras(simulated(HEADSET), n_views=8)
     of_camera = guides(observations)
     aligned = stage_1(of_camera, np.random.default_rng(0))
-    adjusted = adjust(observations.views, aligned.estimate, CalibrationOptions(eps=1e-12, screen=False))
+    adjusted = adjust(
+        observations.views, aligned.estimate, CalibrationOptions(intrinsics="exact", eps=1e-12, screen=False)
+    )
     found, names = adjusted.estimate, list(observations.views)
     columns = []
     for block in range(3):
@@ -472,7 +476,7 @@ def test_a_view_that_shows_nothing_new_changes_nothing() -> None:
     """The same recording twice over has the same optimum, and half the variance."""
     observations = synchronise(simulated(HEADSET).recording)
     twice = {name: select_views(v, np.repeat(np.arange(v.n_views), 2)) for name, v in observations.views.items()}
-    options = CalibrationOptions(eps=1e-9, sigma_px=0.1, mocap="exact")
+    options = CalibrationOptions(intrinsics="exact", eps=1e-9, sigma_px=0.1, mocap="exact")
     once = calibrate_observations(observations, options)
     doubled = calibrate_observations(replace(observations, views=twice), options)
     np.testing.assert_allclose(doubled.body_T_board.a_T_b, once.body_T_board.a_T_b, atol=1e-6)

@@ -70,14 +70,18 @@ def model_mocap_noise(
     Free intrinsics are bent by stage 3 to fit the mocap's noise, which hides some of it: they are solved for twice, the
     second time with the noise that the first solution shows."""
     found: tuple[Adjusted, MocapNoiseFit] | None = None
-    for _ in range(2 if options.refine_intrinsics else 1):
+    passes = 2 if options.refine_intrinsics else 1
+    for done in range(passes):
         fitted = fit_mocap_noise(found[0] if found else adjusted, motion, options, of_stage_3=adjusted)
         if fitted is None:
             break
+        progress("stage 4: mocap noise", done, passes)
         screened, fit = fitted
-        freed = adjust_with_mocap_noise(screened, fit, motion, options, progress)
+        freed = adjust_with_mocap_noise(screened, fit, motion, options)
         before = found[1].dropped if found else ()
         found = freed, replace(fit, dropped=before + fit.dropped)
+    if found:
+        progress("stage 4: mocap noise", passes, passes)
     return found
 
 
@@ -171,10 +175,8 @@ def adjust_with_mocap_noise(
     fit: MocapNoiseFit,
     motion: RefMotion,
     options: CalibrationOptions,
-    progress: Progress = silent,
 ) -> Adjusted:
     """Go on from stage 3 with every A_t free, on the views and corners that it used."""
-    progress("stage 4: mocap noise", 0, 1)
     graph, values = _problem(adjusted, fit, motion, options)
     found = minimise_many_frames(
         graph,
@@ -185,7 +187,6 @@ def adjust_with_mocap_noise(
         least_gain=_LEAST_GAIN,
     )
     estimate = updated(adjusted.estimate, found.values)
-    progress("stage 4: mocap noise", 1, 1)
     return Adjusted(estimate, fit.sigma_px, adjusted.screened.under(estimate), graph, found.values, found.errors)
 
 

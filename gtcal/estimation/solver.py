@@ -295,7 +295,7 @@ def _stage_3(
     if 3 not in options.stages:
         return not_adjusted(views, estimate, options), ()
     started = time.perf_counter()
-    adjusted = _weighed(adjust(views, estimate, options, progress), views, options, progress)
+    adjusted = _weighed(adjust(views, estimate, options, progress), views, options)
     report = _report(3, "pixels", started, adjusted.errors, "px^2/2")
     return adjusted, (replace(report, median_px=_median_px(views, adjusted.estimate)),)
 
@@ -304,7 +304,6 @@ def _weighed(
     adjusted: Adjusted,
     views: Mapping[str, Views],
     options: CalibrationOptions,
-    progress: Progress = silent,
     correlation_s: float = 0.0,
 ) -> Adjusted:
     """Stage 3 with what is stated of the lenses counted as it should be beside corners that err together, frame by
@@ -316,7 +315,7 @@ def _weighed(
             break  # a direction is open, and named later
         if abs(np.log(weight / adjusted.lens_weight)) < _SAME_WEIGHT:
             break
-        again = adjust(views, adjusted.estimate, options, progress, lens_weight=weight)
+        again = adjust(views, adjusted.estimate, options, lens_weight=weight)
         adjusted = replace(again, errors=(*adjusted.errors, *again.errors[1:]))
     return adjusted
 
