@@ -60,6 +60,9 @@ CAMERA_FILE_WRITERS: dict[str, CameraFileWriter] = {
 }
 """By name, the formats that cameras can be written in."""
 
+FOLDER_FORMATS = ("ros", "ros_bag", "colmap")
+"""The formats that are written as a folder."""
+
 _BY_DOCUMENT: dict[str, Callable[[Any], bool]] = {
     "kalibr": kalibr.recognises,
     "ros": ros.recognises,

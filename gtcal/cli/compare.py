@@ -55,6 +55,7 @@ def compare(
     from gtcal.errors import GtcalError
     from gtcal.estimation.options import CalibrationOptions
     from gtcal.estimation.priors_file import read_priors
+    from gtcal.files import check_outputs
     from gtcal.recordings.recording import load_recording
     from gtcal.verification.lollypop_recording import load_lollypop_recording
 
@@ -68,6 +69,8 @@ def compare(
     options = CalibrationOptions(intrinsics=mode, clock=clock, seed=seed)
     loaded = load_recording(recording)
     device = load_lollypop_recording(lollypop) if lollypop is not None else None
+    read = [path for path in (measured_x, markers) if path is not None]
+    check_outputs([output], (*read, *loaded.files, *(device.files if device is not None else ())))
     with shown_progress(quiet) as progress:
         found = run(loaded, device, options, measured_body_T_board=body_T_board, progress=progress)
         if markers is not None:

@@ -30,11 +30,15 @@ def detect(
 
     from gtcal.cli.progress import shown_progress
     from gtcal.cli.tables import detection_table
+    from gtcal.files import check_outputs
     from gtcal.recordings.detection_files import write_detections
     from gtcal.recordings.recording import load_recording
     from gtcal.workflow import detected
 
     loaded = load_recording(recording)
+    if output is not None:
+        check_outputs([output], folders=True)
+        check_outputs((output / f"{name}.csv" for name in loaded.cameras), loaded.files)
     with shown_progress(quiet) as progress:
         found = detected(loaded, progress=progress, redo=redo)
     if output is not None:

@@ -40,7 +40,11 @@ def doctor(
     from gtcal.cli.progress import shown_progress
     from gtcal.doctor.diagnose import diagnose
     from gtcal.doctor.diagnosis_file import write_diagnosis
+    from gtcal.files import check_outputs
+    from gtcal.recordings.manifest import named_files
 
+    if json is not None:
+        check_outputs([json], named_files(recording))
     with shown_progress(quiet) as progress:
         found = diagnose(recording, progress=progress)
     if json is not None:

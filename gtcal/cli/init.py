@@ -28,8 +28,9 @@ def init(
         force: Replace a manifest that is there.
         quiet: Print nothing.
     """
+    from gtcal.documents import read_text
     from gtcal.errors import GtcalError
-    from gtcal.files import write_text
+    from gtcal.files import check_outputs, write_text
     from gtcal.overview.draft import draft
     from gtcal.overview.survey import survey
     from gtcal.recordings.manifest import MANIFEST_NAMES
@@ -37,6 +38,9 @@ def init(
     manifest = output if output is not None else folder / MANIFEST_NAMES[0]
     if manifest.exists() and not force:
         raise GtcalError(f"{manifest}: is there already; --force replaces it, -o names another file")
+    check_outputs([manifest])
+    if manifest.is_file() and "gtcal_recording" not in read_text(manifest):
+        raise GtcalError(f"{manifest}: is no manifest, which --force would replace; give another file with -o")
     found = survey(folder)
     drafted = draft(found, manifest)
     write_text(manifest, drafted.text)

@@ -51,14 +51,17 @@ def selfcheck(
     from gtcal.cli.calibrate import intrinsics_mode
     from gtcal.cli.progress import shown_progress
     from gtcal.estimation.options import CalibrationOptions
+    from gtcal.files import check_outputs
     from gtcal.recordings.recording import load_recording
     from gtcal.selfchecks.selfcheck import selfcheck as run
     from gtcal.selfchecks.selfcheck_file import write_selfcheck
 
     mode = intrinsics_mode("exact", calibrate=calibrate_intrinsics, refine=refine_intrinsics)
     options = CalibrationOptions(intrinsics=mode, mocap=mocap_noise, clock=clock, seed=seed)
+    loaded = load_recording(recording)
+    check_outputs([output], loaded.files)
     with shown_progress(quiet) as progress:
-        found = run(load_recording(recording), options, n_folds=folds, progress=progress)
+        found = run(loaded, options, n_folds=folds, progress=progress)
     if output is not None:
         write_selfcheck(output, found)
     if quiet:

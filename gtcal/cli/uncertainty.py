@@ -36,12 +36,13 @@ def uncertainty(
     from rich.console import Console
 
     from gtcal.errors import GtcalError
-    from gtcal.files import write_text
+    from gtcal.files import check_outputs, write_text
     from gtcal.report.uncertainty_part import KIND_NAMES, noise_lines, sigma_rows
     from gtcal.results.calibration_file import read_calibration
     from gtcal.uncertainty.weak_directions import least_sure
 
     found = read_calibration(calibration)
+    check_outputs([output], [calibration])
     if found.covariance is None:
         raise GtcalError(f"{calibration}: has no covariance; calibrate with all the stages")
     kinds = [kind for kind in KIND_NAMES if kind in found.covariances]

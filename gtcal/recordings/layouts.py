@@ -74,6 +74,12 @@ def find_layout(folder: Path) -> Layout | None:
     )
 
 
+def lens_files(folder: Path) -> tuple[Path, ...]:
+    """The files in which the layout of a folder states its lenses."""
+    layout = find_layout(folder)
+    return () if layout is None else tuple(dict.fromkeys(file for _, file in layout.lenses.values()))
+
+
 def expanded(path: Path, fields: Mapping[str, Any]) -> dict[str, Any]:
     """The fields of the manifest at ``path`` with what its ``layout`` states filled in; what they state themselves
     stands. Fields without ``layout`` are returned as they are.

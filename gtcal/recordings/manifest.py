@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
@@ -27,7 +27,7 @@ from gtcal.camera import StampedRow
 from gtcal.camera_files.formats import CAMERA_FILE_READERS
 from gtcal.documents import load_document
 from gtcal.errors import GtcalError
-from gtcal.files import write_text
+from gtcal.files import is_there, write_text
 from gtcal.readers import TRAJECTORY_READERS, BodySelection
 from gtcal.readers.mocap_take import RotationKind
 from gtcal.readers.poses import LengthUnit, PoseConventions, PoseDirection, TimeUnit
@@ -301,6 +301,31 @@ def read_manifest(path: Path) -> Manifest:
 
     Raises GtcalError naming the file and the field for the first thing that is wrong."""
     return manifest_of(path, load_fields(path))
+
+
+def named_files(path: Path) -> tuple[Path, ...]:
+    """The manifest at ``path`` and every file and folder that a text in it names, as far as they are there: what a
+    recording is read from, also where something is wrong with it."""
+    manifest = find_manifest(path)
+    try:
+        fields = load_document(manifest)
+        fields = expanded(manifest, fields) if isinstance(fields, dict) else fields
+    except GtcalError:
+        return (manifest,)
+    named = (manifest.parent / text for text in dict.fromkeys(_texts(fields, 0)))
+    return (manifest, *(file for file in named if is_there(file)))
+
+
+_DEEPEST = 10
+"""No field of a manifest lies deeper."""
+
+
+def _texts(value: Any, depth: int) -> Iterator[str]:
+    if isinstance(value, str):
+        yield value
+    elif isinstance(value, dict | list) and depth < _DEEPEST:
+        for part in value.values() if isinstance(value, dict) else value:
+            yield from _texts(part, depth + 1)
 
 
 def manifest_of(path: Path, data: dict[str, Any]) -> Manifest:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -21,6 +22,7 @@ from gtcal.recordings.capture import Capture, RefMotion
 from gtcal.recordings.detection_files import read_detections, write_detections
 from gtcal.recordings.detections import CameraDetections, Cornered
 from gtcal.recordings.images import Images, image_folder, image_list, shifted
+from gtcal.recordings.layouts import lens_files
 from gtcal.recordings.manifest import (
     MANIFEST_NAMES,
     CameraEntry,
@@ -94,6 +96,11 @@ class Recording:
         """What was done to read it, one sentence each, for the user to see."""
         return notes_of(self.images, self.motion.trajectories)
 
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """Every file that it is read from, the images too."""
+        return files_of(self.inputs, self.images)
+
 
 def load_recording(path: Path | str) -> Recording:
     """Read the recording in the folder (or with the manifest file) ``path``. Images are listed, not searched for
@@ -106,7 +113,7 @@ def load_recording(path: Path | str) -> Recording:
 
 def recording_of(manifest_path: Path, manifest: Manifest) -> Recording:
     """What a manifest at this path describes. Raises GtcalError as ``load_recording``."""
-    loader = Loader(manifest_path)
+    loader = Loader(manifest_path, manifest.layout)
     board = loader.board(manifest.board)
     cameras = {name: loader.camera(name, entry) for name, entry in manifest.cameras.items()}
     detections = {
@@ -166,9 +173,9 @@ def write_recording(recording: Recording, folder: Path | str) -> Path:
 class Loader:
     """Reads what a manifest points to, and remembers which files those were."""
 
-    def __init__(self, manifest_path: Path) -> None:
+    def __init__(self, manifest_path: Path, layout: str | None = None) -> None:
         self.manifest_path = manifest_path
-        self.used = [manifest_path]
+        self.used = [manifest_path, *(lens_files(manifest_path.parent) if layout is not None else ())]
 
     def board(self, block: dict[str, object]) -> Board:
         try:
@@ -320,6 +327,11 @@ class Loader:
     def error(self, where: str, message: str) -> GtcalError:
         """An error about a field of the manifest."""
         return GtcalError(f"{self.manifest_path}: {where}: {message}")
+
+
+def files_of(inputs: Iterable[InputFile], images: dict[str, Images]) -> tuple[Path, ...]:
+    """The files that were read, and those of the images."""
+    return (*(entry.path for entry in inputs), *(file for sequence in images.values() for file in sequence.files))
 
 
 def notes_of(images: dict[str, Images], trajectories: dict[str, Trajectory]) -> tuple[str, ...]:

@@ -36,7 +36,7 @@ from gtcal.recordings.manifest import (
     validated,
     write_manifest,
 )
-from gtcal.recordings.recording import Loader, camera_entry, detections_name, notes_of
+from gtcal.recordings.recording import Loader, camera_entry, detections_name, files_of, notes_of
 from gtcal.recordings.trajectory import Trajectory
 from gtcal.verification.lollypop import Lollypop, device_from_manifest, device_manifest_schema
 
@@ -124,6 +124,11 @@ class LollypopRecording:
         )
         return notes_of(self.images, trajectories)
 
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """Every file that it is read from, the images too."""
+        return files_of(self.inputs, self.images)
+
 
 def load_lollypop_recording(path: Path | str) -> LollypopRecording:
     """Read the recording in the folder (or with the manifest file) ``path``. Images are listed, not searched.
@@ -131,7 +136,7 @@ def load_lollypop_recording(path: Path | str) -> LollypopRecording:
     Raises GtcalError, in one line that names the file and the field or row, for anything that is wrong with it."""
     manifest_path = find_manifest(Path(path))
     manifest = _read_manifest(manifest_path)
-    loader = Loader(manifest_path)
+    loader = Loader(manifest_path, manifest.layout)
     device = _device(loader, manifest.device)
     cameras = {name: loader.camera(name, entry) for name, entry in manifest.cameras.items()}
     trajectories = {name: loader.trajectory(name, entry) for name, entry in manifest.bodies.items()}
