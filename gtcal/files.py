@@ -8,7 +8,7 @@ import shutil
 import stat
 import sys
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory, TemporaryFile
@@ -116,8 +116,8 @@ def is_standard_output(path: Path) -> bool:
 @contextmanager
 def staged(path: Path) -> Iterator[Path]:
     """A path of the same name in a hidden folder beside ``path``, for the body to write a file or a folder at. It
-    is put in the place of ``path`` on leaving: a file or a new folder whole, and into a folder that is there file by file.
-    Where the body raises, ``path`` stays as it was. The folder around it is made where it is missing. A link is
+    is put in the place of ``path`` on leaving: a file or a new folder whole, into a folder that is there file by
+    file. Where the body raises, ``path`` stays as it was. The folder around it is made where it is missing. A link is
     followed; what is written to a pipe or a device, /dev/stdout say, is handed to it whole.
 
     Raises GtcalError where it can't be written."""
@@ -125,15 +125,30 @@ def staged(path: Path) -> Iterator[Path]:
     stream = (status is not None and _is_stream(status)) or is_standard_output(path)
     target = _real(path)
     try:
-        if not stream:
-            target.parent.mkdir(parents=True, exist_ok=True)
         prefix = f".{target.name[:_LONGEST_PREFIX]}."
-        with TemporaryDirectory(prefix=prefix, suffix=".part", dir=None if stream else target.parent) as beside:
+        with (
+            nullcontext() if stream else _made(target.parent),
+            TemporaryDirectory(prefix=prefix, suffix=".part", dir=None if stream else target.parent) as beside,
+        ):
             aside = Path(beside) / path.name
             yield aside
             _hand_over(aside, path) if stream else _put_in_place(aside, target)
     except OSError as error:
         raise _unwritable(path, error) from error
+
+
+@contextmanager
+def _made(folder: Path) -> Iterator[None]:
+    """The folder, made where it is missing, with those around it; gone again where the body raises."""
+    missing = [place for place in (folder, *folder.parents) if not place.exists()]
+    folder.mkdir(parents=True, exist_ok=True)
+    try:
+        yield
+    except BaseException:
+        with suppress(OSError):  # others may have put something there
+            for place in missing:
+                place.rmdir()
+        raise
 
 
 def _put_in_place(aside: Path, target: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -154,6 +155,11 @@ def rigid_from_matrix(rotation: FloatArray, translation_m: FloatArray) -> FloatA
     a_T_b = np.eye(4)
     a_T_b[:3, :3], a_T_b[:3, 3] = rotation, translation_m
     return a_T_b
+
+
+def quoted(text: str) -> str:
+    """A text for YAML, TOML and OpenCV's FileStorage, which don't all know JSON's escapes of letters."""
+    return json.dumps(text, ensure_ascii=False)
 
 
 def float_text(value: float) -> str:
