@@ -99,7 +99,12 @@ def read_rig(path: Path, format_name: str | None, options: ReadOptions | None = 
     found = format_name or recognised(path)
     if found is None:
         raise GtcalError(f"{path}: is no camera file that gtcal knows; formats: {', '.join(CAMERA_FILE_READERS)}")
-    return ReadRig(CAMERA_FILE_READERS[found](path, options or ReadOptions()), found)
+    try:
+        return ReadRig(CAMERA_FILE_READERS[found](path, options or ReadOptions()), found)
+    except GtcalError as error:
+        if str(path) in str(error):
+            raise
+        raise GtcalError(f"{path}: {error}") from None  # of the cameras together, which know of no file
 
 
 def write_rig(rig: Rig, path: Path, format_name: str, notes: Sequence[str], *, nearest: bool = False) -> list[str]:

@@ -174,7 +174,12 @@ def read_size(field: Field, options: ReadOptions) -> tuple[int, int]:
 def _read_camera(path: Path, options: ReadOptions) -> RigCamera:
     document = Field(path, "", load_document(path))
     name = document["camera_name"].text() if "camera_name" in document else path.stem
-    return rig_camera(document, name, read_lens(document), read_size(document, options), options)
+    return rig_camera(document, plain_name(name), read_lens(document), read_size(document, options), options)
+
+
+def plain_name(name: str) -> str:
+    """ROS names cameras by their namespaces, as narrow_stereo/left, which is no name of a file: narrow_stereo_left."""
+    return name.strip("/").replace("/", "_")
 
 
 def _camera_info(camera: RigCamera, notes: Sequence[str], nearest: bool) -> str:

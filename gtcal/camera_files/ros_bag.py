@@ -21,6 +21,7 @@ from gtcal.camera_files.ros import (
     frame_names,
     model_and_coefficients,
     place,
+    plain_name,
     quaternion_wxyz,
     read_lens,
     read_size,
@@ -99,7 +100,7 @@ def _first(reader: Any, connection: Any) -> Any:
 
 
 def _camera(path: Path, topic: str, info: Any, options: ReadOptions) -> RigCamera:
-    name = topic.strip("/").removesuffix("camera_info").strip("/").replace("/", "_") or "camera"
+    name = plain_name(topic.strip("/").removesuffix("camera_info")) or "camera"
     values = {
         "width": info.width,
         "height": info.height,

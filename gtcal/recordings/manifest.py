@@ -28,6 +28,7 @@ from gtcal.camera_files.formats import CAMERA_FILE_READERS
 from gtcal.documents import load_document
 from gtcal.errors import GtcalError
 from gtcal.files import is_there, write_text
+from gtcal.names import fault_of_name, shown
 from gtcal.readers import TRAJECTORY_READERS, BodySelection
 from gtcal.readers.mocap_take import RotationKind
 from gtcal.readers.poses import LengthUnit, PoseConventions, PoseDirection, TimeUnit
@@ -61,6 +62,16 @@ LAYOUT_DESCRIPTION = (
 )
 CaptureName = Annotated[str, *_choice("a capture kind", [kind.value for kind in Capture])]
 CameraFileFormat = Annotated[str, *_choice("a format of camera files", CAMERA_FILE_READERS)]
+
+
+def _named(value: str) -> str:
+    if fault := fault_of_name(value):
+        raise PydanticCustomError("choice", "{message}", {"message": f"the name {fault}; give it another"})
+    return value
+
+
+CameraName = Annotated[str, AfterValidator(_named)]
+"""A key of ``cameras``."""
 
 
 # Left out, not null: None is how Python says it, and no value of the manifest.
@@ -241,7 +252,7 @@ class Manifest(Entry):
         description="The board: a preset, or a type and its fields."
     )
     layout: LayoutName | None = Field(default=None, description=LAYOUT_DESCRIPTION)
-    cameras: dict[str, CameraEntry] = Field(min_length=1, description="The cameras by name.")
+    cameras: dict[CameraName, CameraEntry] = Field(min_length=1, description="The cameras by name.")
     platform: TrajectoryEntry | None = Field(default=None, description="The tracked body that carries the cameras.")
     board_body: TrajectoryEntry | None = Field(default=None, description="The tracked body that carries the board.")
     max_gap_ms: float | None = Field(
@@ -432,7 +443,8 @@ def _explain(error: ValidationError, kind: type[Entry]) -> str:
     """The first error in one line: an unknown field before a missing one, since a misspelt field is both."""
     errors = sorted(error.errors(), key=lambda e: e["type"] != "extra_forbidden")
     first = errors[0]
-    field = ".".join(str(part) for part in first["loc"])
+    parts = [str(part) for part in first["loc"] if part != "[key]"]
+    field = ".".join(shown(part) if fault_of_name(part) else part for part in parts)
     more = f" (and {len(errors) - 1} more)" if len(errors) > 1 else ""
     return f"{field}: {_message(first, kind)}{more}"
 

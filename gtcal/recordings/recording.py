@@ -14,6 +14,7 @@ from gtcal.board import Board, board_from_manifest
 from gtcal.camera import Camera, FloatArray, RollingShutter
 from gtcal.camera_files.formats import read_rig
 from gtcal.camera_files.rig import ReadOptions, Rig, RigCamera, agreeing
+from gtcal.camera_files.ros import plain_name
 from gtcal.errors import GtcalError
 from gtcal.files import InputFile, fingerprint
 from gtcal.readers import TRAJECTORY_READERS, write_euroc_csv
@@ -228,11 +229,12 @@ class Loader:
         """The camera that the manifest names, else that of its own name, else the only one."""
         named = {camera.name: camera for camera in rig.cameras}
         listed = ", ".join(named)
-        if intrinsics.camera is not None and intrinsics.camera not in named:
+        asked = None if intrinsics.camera is None else plain_name(intrinsics.camera)
+        if asked is not None and asked not in named:
             raise GtcalError(f"there is no camera {intrinsics.camera!r} in {intrinsics.file}; cameras: {listed}")
         if intrinsics.camera is None and name not in named and len(named) > 1:
             raise GtcalError(f"{intrinsics.file} holds several cameras; name one with 'camera': {listed}")
-        return named.get(intrinsics.camera or name) or next(iter(named.values()))
+        return named.get(asked or name) or next(iter(named.values()))
 
     def _use(self, path: Path) -> None:
         """Remember a file, once."""

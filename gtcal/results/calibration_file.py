@@ -19,6 +19,7 @@ from gtcal.camera import Camera, FloatArray, RollingShutter
 from gtcal.estimation.estimate import Estimate
 from gtcal.estimation.observations import Dropped
 from gtcal.files import InputFile, write_text
+from gtcal.names import named
 from gtcal.recordings.capture import Capture
 from gtcal.recordings.trajectory import quaternions_from_poses
 from gtcal.results.calibration import (
@@ -166,7 +167,7 @@ def _without_nan(fields: dict[str, Any]) -> dict[str, Any]:
 def _calibration(document: Mapping[str, Any]) -> Calibration:
     return Calibration(
         capture=Capture(document["capture"]),
-        cameras={name: _camera(name, block) for name, block in document["cameras"].items()},
+        cameras={named(name): _camera(name, block) for name, block in document["cameras"].items()},
         body_T_board=_pose(document["body_T_board"]),
         board=document["board"],
         sigma_px=float(document["sigma_px"]),

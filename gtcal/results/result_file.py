@@ -25,6 +25,8 @@ def read_result(path: Path, kind: str, schema_version: int, parse: Callable[[dic
         raise GtcalError(f"{path}: has {kind} schema {version}, this gtcal reads up to {schema_version}; update gtcal")
     try:
         return parse(document)
+    except GtcalError as error:
+        raise GtcalError(f"{path}: {error}") from None
     except KeyError as error:
         raise GtcalError(f"{path}: the field {error.args[0]!r} is missing") from error
     except (TypeError, ValueError, AttributeError) as error:

@@ -25,6 +25,7 @@ from gtcal.recordings.manifest import (
     LAYOUT_DESCRIPTION,
     MANIFEST_NAMES,
     CameraEntry,
+    CameraName,
     CaptureName,
     Entry,
     LayoutName,
@@ -55,7 +56,7 @@ class LollypopManifest(Entry):
         description="The Lollypop: a preset, or its tag and markers, or the name of a file that says this."
     )
     layout: LayoutName | None = Field(default=None, description=LAYOUT_DESCRIPTION)
-    cameras: dict[str, CameraEntry] = Field(min_length=1, description="The cameras by name.")
+    cameras: dict[CameraName, CameraEntry] = Field(min_length=1, description="The cameras by name.")
     platform: TrajectoryEntry | None = Field(default=None, description="The tracked body that carries the cameras.")
     device_body: TrajectoryEntry = Field(description="The tracked body of the Lollypop.")
     max_gap_ms: float | None = Field(

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from gtcal.files import InputFile, write_aside, write_text
+from gtcal.names import named
 from gtcal.results.calibration import Provenance
 from gtcal.results.result_file import read_result
 from gtcal.verification.lollypop import Lollypop, device_from_manifest
@@ -113,7 +114,7 @@ def _verification(document: Mapping[str, Any]) -> Verification:
     return Verification(
         verdict=Verdict(document["verdict"]),
         reasons=tuple(document["reasons"]),
-        cameras={name: _camera(block) for name, block in document["cameras"].items()},
+        cameras={named(name): _camera(block) for name, block in document["cameras"].items()},
         pooled_px=_statistics(document["pooled_px"]),
         pooled_mm=_statistics(document["pooled_mm"]),
         triangulation=_triangulation(document["triangulation"]),
