@@ -74,19 +74,29 @@ def _overview() -> str:
     return OVERVIEW.format(commands="\n".join(f"  {name:{width}}  {what}" for name, what in COMMANDS.items()))
 
 
+def _warn_on_stderr() -> None:
+    """What is logged, in single lines."""
+    from gtcal.plain import OneLine
+
+    handler = logging.StreamHandler()
+    handler.setFormatter(OneLine("%(name)s: %(message)s"))
+    logging.basicConfig(handlers=[handler], level=logging.WARNING)
+
+
 def _run(command: str, arguments: list[str]) -> int:
     gc.set_threshold(_GC_THRESHOLD)  # before the imports: they are half of a short command's time
     import tyro
 
     from gtcal.errors import GtcalError
+    from gtcal.plain import one_line
 
-    logging.basicConfig(format="%(name)s: %(message)s", level=logging.WARNING)
+    _warn_on_stderr()
     function = getattr(import_module(f"gtcal.cli.{command}"), command)
     try:
         code = tyro.cli(function, prog=f"gtcal {command}", args=arguments)
         sys.stdout.flush()
     except GtcalError as error:
-        print(f"gtcal: {error}", file=sys.stderr)
+        print(f"gtcal: {one_line(str(error))}", file=sys.stderr)
         return EXIT_FAILURE
     except KeyboardInterrupt:
         print("gtcal: interrupted", file=sys.stderr)

@@ -46,12 +46,11 @@ def compare(
         seed: Of the random numbers.
         quiet: Show no progress and print nothing.
     """
-    from rich.console import Console
-
     from gtcal.baselines.compare import compare as run
     from gtcal.baselines.compare import compare_markers
     from gtcal.baselines.compare_file import write_comparison
     from gtcal.cli.progress import shown_progress
+    from gtcal.cli.terminal import Terminal
     from gtcal.errors import GtcalError
     from gtcal.estimation.options import CalibrationOptions
     from gtcal.estimation.priors_file import read_priors
@@ -79,14 +78,14 @@ def compare(
         write_comparison(output, found)
     if quiet:
         return
-    console = Console()
+    console = Terminal()
     console.print(_table(found))
     for failed in (row for row in found if row.failure):
-        console.print(f"{failed.method}: {failed.failure}", highlight=False, markup=False)
+        console.print(f"{failed.method}: {failed.failure}", highlight=False)
     if body_T_board is None:
-        console.print("Sturm's method is left out: it needs --measured-x", highlight=False, markup=False)
+        console.print("Sturm's method is left out: it needs --measured-x", highlight=False)
     if output is not None:
-        console.print(f"written: {output}", highlight=False, markup=False)
+        console.print(f"written: {output}", highlight=False)
 
 
 def _table(found: tuple[Compared, ...]) -> Table:

@@ -49,13 +49,13 @@ def init(
 
 
 def _print(manifest: Path, questions: tuple[str, ...], left: tuple[str, ...]) -> None:
-    from rich.console import Console
+    from gtcal.cli.terminal import Terminal
 
-    console = Console(highlight=False, soft_wrap=True)
+    console = Terminal(highlight=False, soft_wrap=True)
     for line in left:
-        console.print(f"left aside: {line}", style="yellow", markup=False)
-    console.print(f"written: {manifest}", markup=False)
+        console.print(f"left aside: {line}", style="yellow")
+    console.print(f"written: {manifest}")
     if questions:
-        console.print(f"to be answered there, {len(questions)}:", markup=False)
+        console.print(f"to be answered there, {len(questions)}:")
     for question in questions:
-        console.print(f"  {question}", markup=False)
+        console.print(f"  {question}")

@@ -4,6 +4,8 @@ The single sightings have a CSV of their own."""
 
 from __future__ import annotations
 
+import csv
+import io
 import json
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
@@ -15,6 +17,7 @@ import numpy as np
 
 from gtcal.files import InputFile, write_aside, write_text
 from gtcal.names import named
+from gtcal.plain import csv_cell
 from gtcal.results.calibration import Provenance
 from gtcal.results.result_file import read_result
 from gtcal.verification.lollypop import Lollypop, device_from_manifest
@@ -86,8 +89,11 @@ def write_sightings(path: Path, verification: Verification) -> None:
                     np.rad2deg(seen.field_angle_rad),
                 ]
             ).tolist()
+            quoted = io.StringIO()
+            csv.writer(quoted, lineterminator="").writerow([csv_cell(name)])
+            camera = quoted.getvalue()
             rows = zip(seen.stamps_ns.tolist(), seen.face_index.tolist(), numbers, strict=True)
-            file.writelines(f"{t},{name},{face},{','.join(f'{x:.6f}' for x in row)}\n" for t, face, row in rows)
+            file.writelines(f"{t},{camera},{face},{','.join(f'{x:.6f}' for x in row)}\n" for t, face, row in rows)
 
 
 def _plain(value: Any) -> Any:
