@@ -478,16 +478,14 @@ def load_board(name: str) -> Board:
     """The board of a preset's name, or of a YAML file: a board block by itself, or in a manifest.
 
     Raises GtcalError where ``name`` is neither, or the block is wrong."""
-    import yaml
+    from gtcal.documents import load_plain_yaml, read_text
+    from gtcal.files import is_there
 
     if name in PRESETS:
         return PRESETS[name]
-    try:
-        block = yaml.safe_load(Path(name).read_text(encoding="utf-8"))
-    except OSError as error:
-        raise GtcalError(f"board {name!r} is no preset ({_listed(PRESETS)}) and no file: {error.strerror}") from error
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise GtcalError(f"{name}: is not valid YAML: {' '.join(str(error).split())}") from error
+    if not is_there(Path(name)):
+        raise GtcalError(f"board {name!r} is no preset ({_listed(PRESETS)}) and no file: No such file or directory")
+    block = load_plain_yaml(Path(name), read_text(Path(name)))
     try:
         return board_from_manifest(block["board"] if isinstance(block, dict) and "board" in block else block)
     except GtcalError as error:

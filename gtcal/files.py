@@ -10,6 +10,7 @@ import sys
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from tempfile import TemporaryDirectory, TemporaryFile
 from typing import IO
@@ -199,20 +200,68 @@ def write_folder(path: Path, texts: dict[str, str]) -> None:
             (aside / name).write_text(text, encoding="utf-8", newline="\n")
 
 
+MiB = 2**20
+DOCUMENT_BYTES, TABLE_BYTES, IMAGE_BYTES = 256 * MiB, 4096 * MiB, 1024 * MiB
+"""The most that is read of a file of fields, of rows, and of an image: several times what any real one holds."""
+
+
+def check_regular(path: Path, most_bytes: int | None = None) -> None:
+    """To be asked before a file is read: a pipe or a device may never end, and what is far too large fills the memory.
+    Whether there is a file at all is left to the reader.
+
+    Raises GtcalError where there is something else than a file or a folder, or it is larger than that."""
+    try:
+        status = path.stat()
+        if stat.S_ISREG(status.st_mode) and not status.st_size:  # as those of /proc, some of which can't be read
+            with path.open("rb") as file:
+                file.read(1)
+    except FileNotFoundError:
+        return
+    except (OSError, ValueError) as error:
+        said = error.strerror if isinstance(error, OSError) else error
+        raise GtcalError(f"{path}: can't be read: {said}") from None
+    if _is_stream(status):
+        raise GtcalError(f"{path}: is a pipe or a device; expected a file: write what it gives into one")
+    if most_bytes is not None and stat.S_ISREG(status.st_mode) and status.st_size > most_bytes:
+        raise GtcalError(
+            f"{path}: holds {status.st_size / MiB:.0f} MiB, and such a file at most {most_bytes // MiB}; is it another?"
+        )
+
+
+def read_bytes(path: Path, most_bytes: int) -> bytes:
+    """The contents of a file. Raises GtcalError as ``check_regular``, OSError where it can't be read."""
+    check_regular(path, most_bytes)
+    with path.open("rb") as file:
+        content = file.read(most_bytes + 1)
+    if len(content) > most_bytes:  # as of /proc, whose files state no size
+        raise GtcalError(f"{path}: does not end after {most_bytes // MiB} MiB")
+    return content
+
+
 def fingerprint(path: Path) -> InputFile:
     """The SHA-256 of a file, or of the names and contents of the files directly in a folder."""
+    check_regular(path)
     if path.is_dir():
         total = hashlib.sha256()
         for file in sorted(path.iterdir()):
             if file.is_file():
-                total.update(f"{file.name}\0{_sha256(file)}\n".encode())
+                total.update(f"{file.name}\0{sha256_of(file)}\n".encode())
         return InputFile(path, total.hexdigest())
-    return InputFile(path, _sha256(path))
+    return InputFile(path, sha256_of(path))
 
 
-def _sha256(path: Path) -> str:
+def sha256_of(path: Path) -> str:
+    """The SHA-256 of a file's contents, computed once in a run. Raises GtcalError where it can't be read."""
+    check_regular(path)
     try:
-        with path.open("rb") as file:
-            return hashlib.file_digest(file, "sha256").hexdigest()
+        status = path.stat()
+        return _digest(path, (status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns, status.st_ctime_ns))
     except OSError as error:
         raise GtcalError(f"{path}: can't be read: {error.strerror}") from error
+
+
+@lru_cache(maxsize=1_000_000)
+def _digest(path: Path, _identity: tuple[int, ...]) -> str:
+    """``_identity`` changes with every change of the file: no one can set the time of its last change (ctime)."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()

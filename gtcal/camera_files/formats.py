@@ -16,7 +16,7 @@ from gtcal.camera_files.lenses import difference_px
 from gtcal.camera_files.rig import ReadOptions, Rig, RigCamera
 from gtcal.documents import load_document
 from gtcal.errors import GtcalError
-from gtcal.files import staged
+from gtcal.files import check_regular, staged
 
 
 class CameraFileReader(Protocol):
@@ -92,6 +92,7 @@ def read_rig(path: Path, format_name: str | None, options: ReadOptions | None = 
     """The cameras in a file or folder, in the format of this name, or that which it is of where none is given.
 
     Raises GtcalError for a file that is missing, of no known format, or wrong."""
+    check_regular(path)
     if not path.exists():
         raise GtcalError(f"{path}: there is no such file")
     if format_name is not None and format_name not in CAMERA_FILE_READERS:

@@ -39,8 +39,9 @@ def init(
     if manifest.exists() and not force:
         raise GtcalError(f"{manifest}: is there already; --force replaces it, -o names another file")
     check_outputs([manifest])
-    if manifest.is_file() and "gtcal_recording" not in read_text(manifest):
-        raise GtcalError(f"{manifest}: is no manifest, which --force would replace; give another file with -o")
+    named = manifest.name in MANIFEST_NAMES
+    if manifest.is_file() and not named and "gtcal_recording" not in read_text(manifest):
+        raise GtcalError(f"{manifest}: is no manifest, which is all that --force replaces; give another file with -o")
     found = survey(folder)
     drafted = draft(found, manifest)
     write_text(manifest, drafted.text)

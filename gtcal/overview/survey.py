@@ -8,9 +8,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from gtcal.camera_files.fields import Field
+from gtcal.documents import load_plain_yaml, read_text
 from gtcal.errors import GtcalError
 from gtcal.overview.mocap_files import MOCAP_SUFFIXES, MocapBody, mocap_bodies
 from gtcal.recordings.bag_images import BAG_SUFFIXES, bag_images, image_topics
@@ -265,9 +264,8 @@ def _yaml_block(path: Path) -> dict[str, Any] | None:
     if path.suffix.lower() not in (".yaml", ".yml"):
         return None
     try:
-        text = re.sub(r"\A%YAML:[^\n]*\n(---)?", "", path.read_text(encoding="utf-8-sig"))
-        block = yaml.safe_load(text)
-    except (OSError, UnicodeDecodeError, yaml.YAMLError):
+        block = load_plain_yaml(path, read_text(path))
+    except GtcalError:
         return None
     return block if isinstance(block, dict) else None
 

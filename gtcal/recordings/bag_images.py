@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gtcal.errors import GtcalError
+from gtcal.files import check_regular
 from gtcal.recordings.detections import IntArray
 from gtcal.recordings.images import GreyImage, InOneFile, decode_grey, of_size, relative
 
@@ -115,6 +116,7 @@ def opened_bag(path: Path) -> Iterator[AnyReader]:
 
 
 def _reader(path: Path) -> AnyReader:
+    check_regular(path)
     try:
         from rosbags.highlevel import AnyReader
         from rosbags.typesys import Stores, get_typestore

@@ -13,8 +13,9 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from gtcal.documents import read_text
 from gtcal.errors import GtcalError
-from gtcal.files import write_text
+from gtcal.files import IMAGE_BYTES, is_there, read_bytes, write_text
 from gtcal.recordings.detections import IntArray
 
 GreyImage = npt.NDArray[np.uint8]
@@ -220,7 +221,7 @@ def read_grey(path: Path) -> GreyImage:
 
     Raises GtcalError where the file is missing, cut off or no image that OpenCV reads."""
     try:
-        data = path.read_bytes()
+        data = read_bytes(path, IMAGE_BYTES)
     except OSError as error:
         raise GtcalError(f"{path}: the image can't be read: {error.strerror}") from error
     return decode_grey(data, str(path))
@@ -273,8 +274,8 @@ def _check_no_frame_counter(where: Path, stamps_ns: IntArray) -> None:
 def _listed_rows(listing: Path) -> list[tuple[int, str]]:
     """The (time stamp, name) rows of a list, in strict order of time."""
     try:
-        lines = listing.read_text(encoding="utf-8-sig").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
+        lines = read_text(listing).splitlines()
+    except GtcalError as error:
         raise GtcalError(f"{listing}: the list of images can't be read: {error}") from error
     rows: list[tuple[int, str]] = []
     for number, line in enumerate(lines, start=1):
@@ -316,9 +317,9 @@ def _default_folder(listing: Path) -> Path:
 
 def _listed_file(listing: Path, folder: Path, name: str) -> Path:
     path = folder / name
-    if path.is_file():
+    if is_there(path) and path.is_file():
         return path
-    others = [path.with_suffix(suffix) for suffix in IMAGE_SUFFIXES if path.with_suffix(suffix).is_file()]
+    others = [path.with_suffix(suffix) for suffix in IMAGE_SUFFIXES if is_there(path.with_suffix(suffix))]
     if len(others) != 1:
         found = ", ".join(other.name for other in others)
         raise GtcalError(

@@ -27,7 +27,7 @@ from gtcal.camera import StampedRow
 from gtcal.camera_files.formats import CAMERA_FILE_READERS
 from gtcal.documents import load_document
 from gtcal.errors import GtcalError
-from gtcal.files import is_there, write_text
+from gtcal.files import check_regular, is_there, write_text
 from gtcal.names import fault_of_name, shown
 from gtcal.readers import TRAJECTORY_READERS, BodySelection
 from gtcal.readers.mocap_take import RotationKind
@@ -291,6 +291,7 @@ def find_manifest(path: Path) -> Path:
     """The manifest at ``path``: the file itself, or the one in this folder.
 
     Raises GtcalError where there is none, or more than one."""
+    check_regular(path)
     if path.is_file():
         return path
     if not path.is_dir():

@@ -16,7 +16,7 @@ from gtcal.camera_files.formats import read_rig
 from gtcal.camera_files.rig import ReadOptions, Rig, RigCamera, agreeing
 from gtcal.camera_files.ros import plain_name
 from gtcal.errors import GtcalError
-from gtcal.files import InputFile, fingerprint
+from gtcal.files import InputFile, check_regular, fingerprint
 from gtcal.readers import TRAJECTORY_READERS, write_euroc_csv
 from gtcal.recordings.bag_images import bag_images
 from gtcal.recordings.capture import Capture, RefMotion
@@ -289,6 +289,10 @@ class Loader:
 
     def _existing(self, where: str, given: str) -> Path:
         path = self.manifest_path.parent / given
+        try:
+            check_regular(path)
+        except GtcalError as error:
+            raise self.error(where, str(error)) from None
         if not path.exists():
             raise self.error(where, f"there is no {path}")
         return path

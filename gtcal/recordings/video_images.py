@@ -20,6 +20,7 @@ import numpy as np
 
 from gtcal.cores import n_cores
 from gtcal.errors import GtcalError
+from gtcal.files import check_regular
 from gtcal.recordings.detections import IntArray
 from gtcal.recordings.images import GreyImage, InOneFile, of_size, relative
 
@@ -91,6 +92,7 @@ def _av() -> Any:
 
 
 def _opened(path: Path) -> InputContainer:
+    check_regular(path)
     library = _av()
     try:
         container: InputContainer = library.open(str(path))

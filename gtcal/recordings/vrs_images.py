@@ -17,6 +17,7 @@ import cv2
 import numpy as np
 
 from gtcal.errors import GtcalError
+from gtcal.files import check_regular
 from gtcal.recordings.detections import IntArray
 from gtcal.recordings.images import GreyImage, InOneFile, of_size, relative
 
@@ -83,6 +84,7 @@ def image_streams(path: Path) -> dict[str, int]:
 
 
 def _reader(path: Path) -> Any:
+    check_regular(path)
     try:
         from pyvrs import SyncVRSReader
     except ImportError:
@@ -97,6 +99,7 @@ def _reader(path: Path) -> Any:
 def _check_whole(path: Path) -> None:
     """The library makes do with what is left of a file. Its header says where the index is: at the end, once the
     recording is closed."""
+    check_regular(path)
     with path.open("rb") as file:
         (index_offset,) = struct.unpack_from("<q", file.read(32), 24)
     chunks = (path, *path.parent.glob(f"{glob.escape(path.name)}_*"))

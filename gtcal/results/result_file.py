@@ -7,6 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar
 
+from gtcal.documents import read_text
 from gtcal.errors import GtcalError
 
 T = TypeVar("T")
@@ -29,16 +30,14 @@ def read_result(path: Path, kind: str, schema_version: int, parse: Callable[[dic
         raise GtcalError(f"{path}: {error}") from None
     except KeyError as error:
         raise GtcalError(f"{path}: the field {error.args[0]!r} is missing") from error
-    except (TypeError, ValueError, AttributeError) as error:
+    except (TypeError, ValueError, AttributeError, LookupError, ArithmeticError, RecursionError) as error:
         raise GtcalError(f"{path}: a field has the wrong form: {error}") from error
 
 
 def _read_json(path: Path) -> Any:
     try:
-        return json.loads(path.read_text(encoding="utf-8"), parse_constant=_refuse)
-    except OSError as error:
-        raise GtcalError(f"{path}: can't be read: {error.strerror}") from error
-    except ValueError as error:
+        return json.loads(read_text(path), parse_constant=_refuse)
+    except (ValueError, RecursionError) as error:
         raise GtcalError(f"{path}: is not valid JSON: {error}") from error
 
 

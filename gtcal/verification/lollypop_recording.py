@@ -8,11 +8,11 @@ from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-import yaml
 from pydantic import Field, WithJsonSchema
 
 from gtcal.camera import Camera
 from gtcal.detection.detect import cached_detect
+from gtcal.documents import load_plain_yaml, read_text
 from gtcal.errors import GtcalError
 from gtcal.files import InputFile, fingerprint
 from gtcal.progress import Progress, silent
@@ -264,12 +264,10 @@ def read_device(path: Path) -> Lollypop:
     """The device that a file describes, YAML or JSON: a device block by itself, or within a manifest.
 
     Raises GtcalError where the file can't be read or describes none."""
+    text = read_text(path)
     try:
-        text = path.read_text(encoding="utf-8-sig")
-        block = json.loads(text) if path.suffix.lower() == ".json" else yaml.safe_load(text)
-    except OSError as error:
-        raise GtcalError(f"{path}: can't be read: {error.strerror}") from error
-    except (ValueError, yaml.YAMLError) as error:
+        block = json.loads(text) if path.suffix.lower() == ".json" else load_plain_yaml(path, text)
+    except (ValueError, RecursionError) as error:
         raise GtcalError(f"{path}: is not valid YAML or JSON: {' '.join(str(error).split())}") from error
     inner = block["device"] if isinstance(block, dict) and "device" in block else block
     try:
