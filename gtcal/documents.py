@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 import tomllib
-from collections.abc import Hashable, Iterable
+from collections.abc import Hashable, Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
 import yaml
 
+from gtcal.bounds import within
 from gtcal.errors import GtcalError
 from gtcal.files import DOCUMENT_BYTES, read_bytes
 
@@ -75,8 +77,8 @@ _MOST_VALUES = 5_000_000
 
 
 def check_extent(path: Path, document: Any) -> None:
-    """Raises GtcalError where fields lie within fields without end, or, by names that stand for others, there are more
-    than any file holds."""
+    """Raises GtcalError where fields lie within fields without end, by names that stand for others there are more than
+    any file holds, or a number is beyond all bounds."""
     count, level = 0, [document]
     for _ in range(_DEEPEST):
         level = [part for value in level for part in _parts(value)]
@@ -85,7 +87,31 @@ def check_extent(path: Path, document: Any) -> None:
             return
         if count > _MOST_VALUES:
             raise GtcalError(f"{path}: holds more than {_MOST_VALUES} values, by aliases (*) that stand for others")
+        if not all(map(_is_bounded, level)):
+            where, value = next(_unbounded(document))
+            raise GtcalError(f"{path}: {where}: is {short(value)}, beyond any number that has a meaning here")
     raise GtcalError(f"{path}: its fields lie within each other, more than {_DEEPEST} deep, or without end")
+
+
+def _is_bounded(value: Any) -> bool:
+    return within(value) or value != value or abs(value) == math.inf  # infinity and NaN have checks of their own
+
+
+def _unbounded(value: Any, where: str = "", depth: int = 0) -> Iterator[tuple[str, Any]]:
+    """The dotted names and values of the numbers beyond bounds."""
+    if not _is_bounded(value):
+        yield where, value
+    parts = value.items() if isinstance(value, dict) else enumerate(_parts(value))
+    for name, part in parts if depth < _DEEPEST else ():
+        yield from _unbounded(part, f"{where}.{name}" if where else str(name), depth + 1)
+
+
+def short(value: Any) -> str:
+    """A value in a message, not all of a long one."""
+    if isinstance(value, int) and abs(value) >= 10**40:
+        return f"a number of {value.bit_length() * 3 // 10} digits"
+    text = repr(value)
+    return text if len(text) <= 40 else f"{text[:37]}..."
 
 
 def _parts(value: Any) -> Iterable[Any]:

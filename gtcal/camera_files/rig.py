@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 
 from factors.camera_models import CAMERA_MODELS
+from gtcal.bounds import LARGEST_LENS
 from gtcal.camera import Camera, FloatArray
 from gtcal.camera_files.fields import Field
 from gtcal.camera_files.lenses import RADTAN5, Expressed, ForeignLens, Form, as_model, fit_foreign
@@ -125,6 +126,8 @@ def rig_camera(field: Field, name: str, lens: Lens, image_size_px: tuple[int, in
 
     Raises GtcalError for a focal length that is not positive, a lens that gtcal has no model of unless
     ``options.nearest``."""
+    if (np.abs(lens.theta) > LARGEST_LENS).any():
+        raise field.error(f"a parameter of the lens is {np.abs(lens.theta).max():.3g}, beyond any lens")
     if not (lens.theta[:2] > 0).all():
         raise field.error(f"the focal lengths are {lens.theta[0]:g} and {lens.theta[1]:g}; expected positive numbers")
     found = _known(field, lens, image_size_px, options) if isinstance(lens, ForeignLens) else lens

@@ -15,6 +15,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from gtcal.bounds import added
 from gtcal.errors import GtcalError
 from gtcal.files import check_regular
 from gtcal.recordings.detections import IntArray
@@ -96,7 +97,9 @@ def bag_images(path: Path, topic: str | None, offset_ns: int = 0) -> BagImages:
     header_ns, received_ns = (np.array([entry[i] for entry in stamps], dtype=np.int64) for i in (0, 1))
     _check_stamps(path, topic, header_ns)
     notes = tuple(_clock_notes(path, topic, header_ns, received_ns))
-    return BagImages(path, header_ns + offset_ns, offset_ns, topic, received_ns, _Readers(path, topic), notes=notes)
+    return BagImages(
+        path, added(str(path), header_ns, offset_ns), offset_ns, topic, received_ns, _Readers(path, topic), notes=notes
+    )
 
 
 def image_topics(path: Path) -> dict[str, int]:

@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from gtcal.bounds import added
 from gtcal.documents import read_text
 from gtcal.errors import GtcalError
 from gtcal.files import IMAGE_BYTES, is_there, read_bytes, write_text
@@ -175,7 +176,8 @@ def relative(path: Path, folder: Path) -> str:
 
 def shifted(images: ImageSequence, offset_ns: int) -> ImageSequence:
     """The images with ``offset_ns`` added to their stamps."""
-    return replace(images, stamps_ns=images.stamps_ns + offset_ns) if offset_ns else images
+    stamps_ns = added(str(images.paths[0].parent), images.stamps_ns, offset_ns)
+    return replace(images, stamps_ns=stamps_ns) if offset_ns else images
 
 
 def image_folder(folder: Path) -> ImageSequence:

@@ -23,6 +23,7 @@ from pydantic_core import ErrorDetails, PydanticCustomError
 
 from factors import CAMERA_MODELS
 from gtcal.board import board_manifest_schema
+from gtcal.bounds import LARGEST_LENS, LARGEST_SIDE_PX, LARGEST_STAMP_NS
 from gtcal.camera import StampedRow
 from gtcal.camera_files.formats import CAMERA_FILE_READERS
 from gtcal.documents import load_document
@@ -70,6 +71,8 @@ def _named(value: str) -> str:
     return value
 
 
+_Side = Annotated[PositiveInt, Field(le=LARGEST_SIDE_PX)]
+_Parameter = Annotated[float, Field(ge=-LARGEST_LENS, le=LARGEST_LENS)]
 CameraName = Annotated[str, AfterValidator(_named)]
 """A key of ``cameras``."""
 
@@ -135,18 +138,18 @@ class CameraEntry(Entry):
         description="The camera model. Left out where a file of intrinsics says it.",
     )
     image_size_px: Annotated[
-        Annotated[list[PositiveInt], Field(min_length=2, max_length=2)] | None, AfterValidator(_unless_in_a_file)
+        Annotated[list[_Side], Field(min_length=2, max_length=2)] | None, AfterValidator(_unless_in_a_file)
     ] = Field(
         default=None,
         validate_default=True,
         description="Width and height of the images in pixels. Left out where a file of intrinsics says it.",
     )
-    parameters: dict[str, float] | None = Field(
+    parameters: dict[str, _Parameter] | None = Field(
         default=None,
         description="The intrinsic parameters by name (pixels, integer coordinates at pixel centres). "
         "Leave them out where they are to be found from the recording.",
     )
-    parameter_sigmas: dict[str, PositiveFloat] | None = Field(
+    parameter_sigmas: dict[str, Annotated[PositiveFloat, Field(le=LARGEST_LENS)]] | None = Field(
         default=None,
         description="1-sigma of the intrinsic parameters by name, in their units, as far as they are known; for the "
         "others those of a factory's calibration are taken (0.3 % of the focal length, 3 px).",
@@ -175,6 +178,8 @@ class CameraEntry(Entry):
     )
     stamp_offset_ns: int | None = Field(
         default=None,
+        ge=-LARGEST_STAMP_NS,
+        le=LARGEST_STAMP_NS,
         description="Added to the time stamps of the images. Needed for a video, whose stamps count from its first "
         "frame: that frame's time.",
     )
@@ -223,10 +228,16 @@ class TrajectoryEntry(Entry):
         default=None, description="How rotations are written. Needed for Vicon's segments."
     )
     stamp_offset_ns: int = Field(
-        default=0, description="Added to the file's time stamps, which in most exports count from the take's start."
+        default=0,
+        ge=-LARGEST_STAMP_NS,
+        le=LARGEST_STAMP_NS,
+        description="Added to the file's time stamps, which in most exports count from the take's start.",
     )
     rate_hz: float | None = Field(
-        default=None, gt=0, description="Frames a second. Needed where the file numbers frames and states no rate."
+        default=None,
+        gt=0,
+        le=1e6,
+        description="Frames a second. Needed where the file numbers frames and states no rate.",
     )
 
     @property
@@ -258,6 +269,7 @@ class Manifest(Entry):
     max_gap_ms: float | None = Field(
         default=None,
         gt=0,
+        le=1e9,
         description="Longest gap in a trajectory to interpolate across. Default: 2.5 median sampling intervals of "
         "that trajectory, which bridges one lost sample but not two, and at most 200 ms.",
     )

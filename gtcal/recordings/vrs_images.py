@@ -16,6 +16,7 @@ from typing import Any
 import cv2
 import numpy as np
 
+from gtcal.bounds import added
 from gtcal.errors import GtcalError
 from gtcal.files import check_regular
 from gtcal.recordings.detections import IntArray
@@ -74,7 +75,7 @@ def vrs_images(path: Path, stream: str | None, offset_ns: int = 0) -> VrsImages:
     same = np.flatnonzero(np.diff(stamps_ns[order]) == 0)
     if len(same):
         raise GtcalError(f"{path}: two images of stream {stream} have the time stamp {stamps_ns[order][same[0]]} ns")
-    stamps_ns = stamps_ns[order] + offset_ns
+    stamps_ns = added(str(path), stamps_ns[order], offset_ns)
     return VrsImages(path, stamps_ns, offset_ns, stream, order, _Readers(path, stream), notes=notes)
 
 

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar
 
-from gtcal.documents import read_text
+from gtcal.documents import check_extent, read_text
 from gtcal.errors import GtcalError
 
 T = TypeVar("T")
@@ -19,6 +19,7 @@ def read_result(path: Path, kind: str, schema_version: int, parse: Callable[[dic
     Raises GtcalError for a file that is missing, no JSON, of a newer schema, or where ``parse`` misses a field or finds
     one of the wrong form."""
     document = _read_json(path)
+    check_extent(path, document)
     version = document.get(f"gtcal_{kind}") if isinstance(document, dict) else None
     if not isinstance(version, int):
         raise GtcalError(f"{path}: is no {kind} of gtcal: the field 'gtcal_{kind}' is missing")

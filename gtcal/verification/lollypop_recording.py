@@ -60,7 +60,10 @@ class LollypopManifest(Entry):
     platform: TrajectoryEntry | None = Field(default=None, description="The tracked body that carries the cameras.")
     device_body: TrajectoryEntry = Field(description="The tracked body of the Lollypop.")
     max_gap_ms: float | None = Field(
-        default=None, gt=0, description="Longest gap in a trajectory to interpolate across; by default as for boards."
+        default=None,
+        gt=0,
+        le=1e9,
+        description="Longest gap in a trajectory to interpolate across; by default as for boards.",
     )
 
     @property
