@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+from collections.abc import Sequence
 from dataclasses import KW_ONLY, dataclass, replace
 from itertools import pairwise
 from pathlib import Path
@@ -158,11 +159,53 @@ class InOneFile:
         return {"stamp_offset_ns": self.offset_ns} if self.offset_ns else {}
 
 
+class WrongSizeError(GtcalError):
+    """An image of another size than its camera's, as all of them are where one is."""
+
+
+MOST_UNREADABLE = 0.05
+"""The share of a camera's images that may be unreadable, as recorders leave the last ones: those are left out."""
+
+
+def read_if_whole(images: Images, index: int) -> GreyImage | GtcalError:
+    """One image, or why it can't be read. Raises WrongSizeError where it is of another size."""
+    try:
+        return images.read(index)
+    except WrongSizeError:
+        raise
+    except GtcalError as error:
+        return error
+
+
+def left_out(name: str, why: Sequence[GtcalError], n_images: int) -> str:
+    """What to say of the images that can't be read, nothing where all can.
+
+    Raises GtcalError where those are too many."""
+    if not why:
+        return ""
+    said = f"{len(why)} of {n_images} images of {name} can't be read"
+    if len(why) > MOST_UNREADABLE * n_images:
+        raise GtcalError(f"{why[0]}; {said}, too many to leave out")
+    return f"{said} and are left out; the first: {why[0]}"
+
+
+def first_whole(images: Images) -> GreyImage:
+    """The first image that can be read. Raises GtcalError where too many before it can't."""
+    why: list[GtcalError] = []
+    for index in range(len(images)):
+        image = read_if_whole(images, index)
+        if not isinstance(image, GtcalError):
+            return image
+        why.append(image)
+        left_out("the camera", why, len(images))
+    raise GtcalError("there are no images")
+
+
 def of_size(image: GreyImage, size_px: tuple[int, int] | None, name: str) -> GreyImage:
     """The image. Raises GtcalError with its ``name`` where it is not of the size (width, height) expected."""
     height, width = image.shape
     if size_px is not None and (width, height) != size_px:
-        raise GtcalError(
+        raise WrongSizeError(
             f"{name}: the image is {width} x {height} pixels, but the camera's image size is "
             f"{size_px[0]} x {size_px[1]}; intrinsics hold for one image size only"
         )

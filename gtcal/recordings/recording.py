@@ -22,7 +22,7 @@ from gtcal.recordings.bag_images import bag_images
 from gtcal.recordings.capture import Capture, RefMotion
 from gtcal.recordings.detection_files import read_detections, write_detections
 from gtcal.recordings.detections import CameraDetections, Cornered
-from gtcal.recordings.images import Images, image_folder, image_list, shifted
+from gtcal.recordings.images import Images, first_whole, image_folder, image_list, shifted
 from gtcal.recordings.layouts import lens_files
 from gtcal.recordings.manifest import (
     MANIFEST_NAMES,
@@ -248,7 +248,7 @@ class Loader:
 
     def images(self, name: str, entry: CameraEntry, camera: Camera) -> Images:
         images = self._images(f"cameras.{name}", entry).expecting(camera.image_width_px, camera.image_height_px)
-        images.read(0)
+        first_whole(images)
         return images
 
     def _images(self, where: str, entry: CameraEntry) -> Images:
