@@ -468,7 +468,7 @@ def board_from_manifest(block: object) -> Board:
     if "type" not in given:
         raise GtcalError(f"'board' has neither 'preset' ({_listed(PRESETS)}) nor 'type' ({_listed(BOARD_TYPES)})")
     type_name = given.pop("type")
-    if type_name not in BOARD_TYPES:
+    if type_name not in list(BOARD_TYPES):
         raise GtcalError(f"board type {type_name!r} is not known; types: {_listed(BOARD_TYPES)}")
     board_type = BOARD_TYPES[type_name]
     return board_type(**_checked_fields(type_name, board_type, given))
@@ -519,7 +519,7 @@ def _preset(given: dict[str, Any]) -> Board:
     name = given.pop("preset")
     if given:
         raise GtcalError(f"'board' has a preset and also {_listed(given)}; a preset stands alone")
-    if name not in PRESETS:
+    if name not in list(PRESETS):  # it may be a list, which has no hash
         raise GtcalError(f"board preset {name!r} is not known; presets: {_listed(PRESETS)}")
     return PRESETS[name]
 

@@ -232,7 +232,9 @@ def read_bytes(path: Path, most_bytes: int) -> bytes:
     """The contents of a file. Raises GtcalError as ``check_regular``, OSError where it can't be read."""
     check_regular(path, most_bytes)
     with path.open("rb") as file:
-        content = file.read(most_bytes + 1)
+        content = file.read(path.stat().st_size + 1)
+        while len(content) <= most_bytes and (more := file.read(MiB)):
+            content += more
     if len(content) > most_bytes:  # as of /proc, whose files state no size
         raise GtcalError(f"{path}: does not end after {most_bytes // MiB} MiB")
     return content
