@@ -468,7 +468,7 @@ def board_from_manifest(block: object) -> Board:
     if "type" not in given:
         raise GtcalError(f"'board' has neither 'preset' ({_listed(PRESETS)}) nor 'type' ({_listed(BOARD_TYPES)})")
     type_name = given.pop("type")
-    if type_name not in BOARD_TYPES:
+    if type_name not in list(BOARD_TYPES):
         raise GtcalError(f"board type {type_name!r} is not known; types: {_listed(BOARD_TYPES)}")
     board_type = BOARD_TYPES[type_name]
     return board_type(**_checked_fields(type_name, board_type, given))
@@ -478,16 +478,14 @@ def load_board(name: str) -> Board:
     """The board of a preset's name, or of a YAML file: a board block by itself, or in a manifest.
 
     Raises GtcalError where ``name`` is neither, or the block is wrong."""
-    import yaml
+    from gtcal.documents import load_plain_yaml, read_text
+    from gtcal.files import is_there
 
     if name in PRESETS:
         return PRESETS[name]
-    try:
-        block = yaml.safe_load(Path(name).read_text(encoding="utf-8"))
-    except OSError as error:
-        raise GtcalError(f"board {name!r} is no preset ({_listed(PRESETS)}) and no file: {error.strerror}") from error
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise GtcalError(f"{name}: is not valid YAML: {' '.join(str(error).split())}") from error
+    if not is_there(Path(name)):
+        raise GtcalError(f"board {name!r} is no preset ({_listed(PRESETS)}) and no file: No such file or directory")
+    block = load_plain_yaml(Path(name), read_text(Path(name)))
     try:
         return board_from_manifest(block["board"] if isinstance(block, dict) and "board" in block else block)
     except GtcalError as error:
@@ -521,7 +519,7 @@ def _preset(given: dict[str, Any]) -> Board:
     name = given.pop("preset")
     if given:
         raise GtcalError(f"'board' has a preset and also {_listed(given)}; a preset stands alone")
-    if name not in PRESETS:
+    if name not in list(PRESETS):  # it may be a list, which has no hash
         raise GtcalError(f"board preset {name!r} is not known; presets: {_listed(PRESETS)}")
     return PRESETS[name]
 

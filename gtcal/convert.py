@@ -7,10 +7,10 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
 from gtcal.camera_files.export import made_by
-from gtcal.camera_files.formats import CAMERA_FILE_READERS, CAMERA_FILE_WRITERS, losses, read_rig, recognised, write_rig
+from gtcal.camera_files.formats import CAMERA_FILE_READERS, CAMERA_FILE_WRITERS, read_rig, recognised, write_rig
 from gtcal.camera_files.rig import ReadOptions, Rig, RigCamera, agreeing
 from gtcal.errors import GtcalError
-from gtcal.files import fingerprint
+from gtcal.files import check_regular, fingerprint
 from gtcal.readers import TRAJECTORY_READERS, TRAJECTORY_WRITERS
 from gtcal.readers.poses import LengthUnit, PoseConventions, PoseDirection, TimeUnit
 from gtcal.recordings.trajectory import QuaternionOrder, Trajectory
@@ -52,6 +52,7 @@ def convert(path: Path, output: Path, to: str, *, as_format: str | None = None, 
             f"{as_format!r} is no format to convert from; cameras: {', '.join(CAMERA_FILE_READERS)}; trajectories: "
             f"{', '.join(TRAJECTORY_READERS)}"
         )
+    check_regular(path)
     if not path.exists():
         raise GtcalError(f"{path}: there is no such file")
     camera_format = recognised(path) if as_format is None else as_format if as_format in CAMERA_FILE_READERS else None
@@ -68,8 +69,7 @@ def _convert_cameras(path: Path, format_name: str, output: Path, to: str, option
     rig = read_rig(path, format_name, read).rig
     cameras = tuple(agreeing(path, camera, read) for camera in _named(path, rig, options.name))
     rig = replace(rig, cameras=cameras)
-    write_rig(rig, output, to, made_by("convert", rig, fingerprint(path)), nearest=options.nearest)
-    lost = losses(rig, output, to) if options.nearest else []
+    lost = write_rig(rig, output, to, made_by("convert", rig, fingerprint(path)), nearest=options.nearest)
     named = ", ".join(camera.name + _off(camera) for camera in cameras)
     where = f"in the frame of {rig.ref_words}" if rig.posed else f"without poses ({rig.unposed})"
     return "\n".join([f"read {path} as {format_name}: {named}; {where}", *lost])

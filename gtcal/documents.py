@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 import tomllib
-from collections.abc import Hashable
+from collections.abc import Hashable, Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
 import yaml
 
+from gtcal.bounds import within
 from gtcal.errors import GtcalError
+from gtcal.files import DOCUMENT_BYTES, read_bytes
 
 
 def load_document(path: Path) -> Any:
@@ -24,6 +27,12 @@ def load_document(path: Path) -> Any:
 
 def parse_document(path: Path, text: str) -> Any:
     """``load_document`` of a file whose text is at hand."""
+    document = _parsed(path, text)
+    check_extent(path, document)
+    return document
+
+
+def _parsed(path: Path, text: str) -> Any:
     suffix = path.suffix.lower()
     if suffix == ".toml":
         return load_toml(path, text)
@@ -33,9 +42,11 @@ def parse_document(path: Path, text: str) -> Any:
 
 
 def read_text(path: Path) -> str:
-    """A text file in UTF-8, with or without a byte order mark. Raises GtcalError where it is none."""
+    """A text file in UTF-8, with or without a byte order mark, its lines ended by \\n. Raises GtcalError where it is
+    none."""
     try:
-        return path.read_text(encoding="utf-8-sig")
+        text = read_bytes(path, DOCUMENT_BYTES).decode("utf-8-sig")
+        return text.replace("\r\n", "\n").replace("\r", "\n")
     except OSError as error:
         raise GtcalError(f"{path}: can't be read: {error.strerror}") from error
     except UnicodeDecodeError:
@@ -46,8 +57,67 @@ def load_toml(path: Path, text: str) -> Any:
     """The fields of a text in TOML. Raises GtcalError naming the file where it is not valid."""
     try:
         return tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
+    except (ValueError, RecursionError) as error:
         raise GtcalError(f"{path}: is not valid TOML: {error}") from None
+
+
+def load_plain_yaml(path: Path, text: str) -> Any:
+    """A text in YAML as PyYAML takes it, OpenCV's first line, which is no YAML to others, left out. Raises GtcalError
+    naming the file where it is not valid."""
+    try:
+        document = yaml.safe_load(re.sub(r"\A%YAML:[^\n]*\n(---)?", "", text))
+    except (yaml.YAMLError, ValueError, RecursionError) as error:
+        raise GtcalError(f"{path}: is not valid YAML: {' '.join(str(error).split())}") from None
+    check_extent(path, document)
+    return document
+
+
+_DEEPEST = 64
+_MOST_VALUES = 5_000_000
+
+
+def check_extent(path: Path, document: Any) -> None:
+    """Raises GtcalError where fields lie within fields without end, by names that stand for others there are more than
+    any file holds, or a number is beyond all bounds."""
+    count, level = 0, [document]
+    for _ in range(_DEEPEST):
+        level = [part for value in level for part in _parts(value)]
+        count += len(level)
+        if not level:
+            return
+        if count > _MOST_VALUES:
+            raise GtcalError(f"{path}: holds more than {_MOST_VALUES} values, by aliases (*) that stand for others")
+        if not all(map(_is_bounded, level)):
+            where, value = next(_unbounded(document))
+            raise GtcalError(f"{path}: {where}: is {short(value)}, beyond any number that has a meaning here")
+    raise GtcalError(f"{path}: its fields lie within each other, more than {_DEEPEST} deep, or without end")
+
+
+def _is_bounded(value: Any) -> bool:
+    return within(value) or value != value or abs(value) == math.inf  # infinity and NaN have checks of their own
+
+
+def _unbounded(value: Any, where: str = "", depth: int = 0) -> Iterator[tuple[str, Any]]:
+    """The dotted names and values of the numbers beyond bounds."""
+    if not _is_bounded(value):
+        yield where, value
+    parts = value.items() if isinstance(value, dict) else enumerate(_parts(value))
+    for name, part in parts if depth < _DEEPEST else ():
+        yield from _unbounded(part, f"{where}.{name}" if where else str(name), depth + 1)
+
+
+def short(value: Any) -> str:
+    """A value in a message, not all of a long one."""
+    if isinstance(value, int) and abs(value) >= 10**40:
+        return f"a number of {value.bit_length() * 3 // 10} digits"
+    text = repr(value)
+    return text if len(text) <= 40 else f"{text[:37]}..."
+
+
+def _parts(value: Any) -> Iterable[Any]:
+    if isinstance(value, dict):
+        return value.values()
+    return value if isinstance(value, list | tuple | set) else ()
 
 
 def _load_json(path: Path, text: str) -> Any:

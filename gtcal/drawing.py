@@ -16,6 +16,7 @@ from gtcal.board import Board
 from gtcal.camera import FloatArray
 from gtcal.errors import GtcalError
 from gtcal.files import write_aside
+from gtcal.plain import xml_text
 from gtcal.recordings.images import GreyImage
 
 # A texel grid is aligned with an edge when the edge is off by less than this fraction of a texel.
@@ -241,12 +242,14 @@ def _svg(sheet: Sheet) -> bytes:
         f'font-size="{text.size_m / _MM:g}">{escape(text.words)}</text>\n'
         for text in sheet.texts
     )
-    return (
-        '<?xml version="1.0" encoding="UTF-8"?>\n'
-        f'<svg xmlns="http://www.w3.org/2000/svg" width="{width_mm:g}mm" height="{height_mm:g}mm" '
-        f'viewBox="0 0 {width_mm:g} {height_mm:g}">\n'
-        f'<rect width="100%" height="100%" fill="white"/>\n<path d="{path}"/>\n{texts}</svg>\n'
-    ).encode()
+    return xml_text(
+        (
+            '<?xml version="1.0" encoding="UTF-8"?>\n'
+            f'<svg xmlns="http://www.w3.org/2000/svg" width="{width_mm:g}mm" height="{height_mm:g}mm" '
+            f'viewBox="0 0 {width_mm:g} {height_mm:g}">\n'
+            f'<rect width="100%" height="100%" fill="white"/>\n<path d="{path}"/>\n{texts}</svg>\n'
+        ).encode()
+    )
 
 
 def _png(sheet: Sheet, dpi: int) -> bytes:

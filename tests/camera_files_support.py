@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -59,15 +60,16 @@ def file_of(folder: Path, format_name: str) -> Path:
     return folder / FILES.get(format_name, "rig.json")
 
 
-def rig_of(*lenses: str) -> Rig:
-    """These cameras, anywhere in ref."""
+def rig_of(*lenses: str, name: str | None = None) -> Rig:
+    """These cameras, anywhere in ref; ``name``: of a single one."""
     random = np.random.default_rng(3)
     cameras = []
     for lens in lenses:
         camera_T_ref = np.eye(4)
         camera_T_ref[:3, :3] = Rotation.random(rng=random).as_matrix()
         camera_T_ref[:3, 3] = random.uniform(-1, 1, 3)
-        cameras.append(RigCamera(LENSES[lens], camera_T_ref))
+        camera = LENSES[lens] if name is None else replace(LENSES[lens], name=name)
+        cameras.append(RigCamera(camera, camera_T_ref))
     return Rig(tuple(cameras), "platform", "the platform")
 
 

@@ -176,7 +176,7 @@ def test_another_file_is_no_calibration(path: Path, content: bytes) -> None:
 
 def test_bytes_that_are_no_text_are_no_json(path: Path) -> None:
     path.write_bytes(b"\x89PNG\r\n\x1a\n\xff")
-    assert "is not valid JSON" in refused(path)
+    assert "is not UTF-8 text" in refused(path)
 
 
 def test_a_newer_schema_asks_for_a_newer_gtcal(path: Path) -> None:

@@ -167,8 +167,8 @@ def test_two_cameras_that_would_share_a_name_are_refused(tmp_path: Path) -> None
 
 @pytest.mark.parametrize("format_name", ["ros", "colmap"])
 def test_a_name_that_can_name_no_file_is_refused(format_name: str, tmp_path: Path) -> None:
-    camera = Camera("../up", PINHOLE_RADTAN, np.array(RADTAN), 752, 480)
-    with pytest.raises(GtcalError, match=r"camera '\.\./up': its name is to name a file"):
+    camera = Camera("one two", PINHOLE_RADTAN, np.array(RADTAN), 752, 480)
+    with pytest.raises(GtcalError, match=r"camera 'one two': its name is to name a file"):
         written(tmp_path / "in", format_name, Rig((RigCamera(camera, np.eye(4)),), "ref", "ref"))
     assert not list(tmp_path.iterdir())
 

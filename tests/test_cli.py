@@ -329,3 +329,33 @@ def test_an_output_that_can_not_be_written_is_named(folder: Path, tmp_path: Path
     assert ran.code == 1
     assert ran.err.startswith(f"gtcal: {tmp_path / 'file' / 'c.json'}: can't be written")
     assert ran.err.count("\n") == 1
+
+
+def test_a_scheduler_ends_it_with_a_line_and_143(folder: Path, tmp_path: Path) -> None:
+    """While it writes: nothing half-written stays."""
+    code = """
+import os, signal, sys
+from gtcal.files import write_text
+def written(path, text):
+    from gtcal.files import write_aside
+    with write_aside(path) as file:
+        file.write(text[:100])
+        os.kill(os.getpid(), signal.SIGTERM)
+        for _ in range(10**9): pass
+import gtcal.results.calibration_file as results
+results.write_text = written
+from gtcal.cli import main
+sys.exit(main(sys.argv[1:]))
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", code, "calibrate", str(folder), "-o", str(tmp_path / "c.json"), "-q", "--no-effects"],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+    assert done.returncode == 143
+    assert done.stderr == "gtcal: ended by a signal (SIGTERM)\n"
+    assert done.stdout == ""
+    assert files_in(tmp_path) == set()
+    assert not list(tmp_path.iterdir())

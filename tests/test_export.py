@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import hashlib
 import re
+from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import get_args
@@ -13,12 +14,13 @@ import cv2
 import numpy as np
 import pytest
 import yaml
-from camera_files_support import file_of, points_in
+from camera_files_support import file_of, points_in, rig_of
 from cli_support import files_in, run
 
 from factors.rigid import inverse
 from gtcal.camera_files.export import EXPORT_FORMATS, export_calibration
-from gtcal.camera_files.formats import read_rig
+from gtcal.camera_files.formats import CAMERA_FILE_READERS, read_rig, write_rig
+from gtcal.camera_files.rig import Rig
 from gtcal.cli.export import Format
 from gtcal.errors import GtcalError
 from gtcal.recordings.capture import Capture
@@ -170,3 +172,44 @@ def test_what_goes_wrong_ends_in_one_line_with_nothing_written(tmp_path: Path) -
         assert "can't be written" in ran.err
     assert files_in(tmp_path) == before
     assert run("export", tmp_path / "calibration.json", "--to", "calibr", "-o", tmp_path / "out").code == 2
+
+
+NAMES = ["café", "камера 1", "相机", "x😀", "left 'front\"", "a: b #c", "007", "a=b"]
+
+
+@pytest.mark.parametrize("to", EXPORT_FORMATS)
+def test_a_name_is_kept_or_said_to_be_another_or_refused(to: str, tmp_path: Path) -> None:
+    """By reading again what was written, before it is put in place."""
+    rig = rig_of("fisheye62", "fisheye")
+    for name in NAMES:
+        cameras = (replace(rig.cameras[0], camera=replace(rig.cameras[0].camera, name=name)), rig.cameras[1])
+        out = file_of(tmp_path / str(NAMES.index(name)), to)
+        named = replace(rig, cameras=cameras)
+        if to in ("ros", "colmap") and not re.fullmatch(r"\w+", name, re.ASCII):  # it is to name a file
+            with pytest.raises(GtcalError, match=re.escape(repr(name))):
+                write_rig(named, out, to, [], nearest=True)
+            assert not out.exists()
+            continue
+        lost = write_rig(named, out, to, [], nearest=True)
+        read = [camera.name for camera in read_rig(out, to).rig.cameras]
+        assert name in read or any(f"camera {name!r} is called " in line for line in lost)
+        assert name in read or to == "ros_bag"
+
+
+def test_what_can_not_be_read_again_is_not_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(path: Path, options: object) -> Rig:
+        raise GtcalError(f"{path}: cam0: is missing")
+
+    monkeypatch.setitem(CAMERA_FILE_READERS, "kalibr", refuse)
+    (tmp_path / "out.yaml").write_text("old")
+    with pytest.raises(GtcalError, match=r"can't hold these cameras: out\.yaml: cam0: is missing"):
+        write_rig(rig_of("radtan"), tmp_path / "out.yaml", "kalibr", [])
+    assert files_in(tmp_path) == {"out.yaml"}
+    assert (tmp_path / "out.yaml").read_text() == "old"
+
+
+def test_a_bag_holds_no_hidden_file(tmp_path: Path) -> None:
+    """Its data are called after it, so that 'cp bag/*' takes all of it."""
+    write_rig(rig_of("radtan"), tmp_path / "bag", "ros_bag", [])
+    assert files_in(tmp_path) == {"bag/bag.db3", "bag/metadata.yaml"}
+    assert "- bag.db3" in (tmp_path / "bag" / "metadata.yaml").read_text()

@@ -211,7 +211,7 @@ def test_another_folder_is_not_laid_out_like_that(tmp_path: Path) -> None:
         ("radial-tangential", "fov", "distortion_model: is 'fov', and gtcal has no such lens; expected one of radtan"),
         ("[-0.28340811, 0.07395907, ", "[", "distortion_coefficients: has 2 numbers; expected 4"),
         ("1.76187114e-05]", "1.76187114e-05, 0.1]", "distortion_coefficients: has 5 numbers; expected 4"),
-        ("resolution: [64, 48]", "resolution: [64, 48", r"sensor\.yaml: can't be read"),
+        ("resolution: [64, 48]", "resolution: [64, 48", r"sensor\.yaml: is not valid YAML"),
     ],
 )
 def test_a_lens_that_can_not_be_used_is_told(old: str, new: str, message: str, euroc: Path) -> None:

@@ -8,6 +8,7 @@ import numpy as np
 
 from factors.rigid import inverse
 from gtcal.baselines.markers import MarkerSightings
+from gtcal.documents import read_text
 from gtcal.errors import GtcalError
 from gtcal.files import InputFile, fingerprint
 from gtcal.recordings.recording import Recording
@@ -44,10 +45,7 @@ def read_marker_sightings(path: Path, recording: Recording) -> tuple[dict[str, M
 
 
 def _rows(path: Path) -> list[list[str]]:
-    try:
-        lines = path.read_text(encoding="utf-8-sig").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        raise GtcalError(f"{path}: can't be read: {error}") from error
+    lines = read_text(path).splitlines()
     if not lines or tuple(cell.strip() for cell in lines[0].split(",")) != COLUMNS:
         raise GtcalError(f"{path}:1: expected the columns {', '.join(COLUMNS)}")
     rows = []

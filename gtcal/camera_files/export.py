@@ -5,7 +5,7 @@ from __future__ import annotations
 from importlib.metadata import version
 from pathlib import Path
 
-from gtcal.camera_files.formats import CAMERA_FILE_WRITERS, losses, write_rig
+from gtcal.camera_files.formats import CAMERA_FILE_WRITERS, write_rig
 from gtcal.camera_files.rig import OUR_PIXELS, Rig, RigCamera
 from gtcal.files import InputFile
 from gtcal.recordings.capture import Capture
@@ -25,16 +25,15 @@ _REFS = {
 def export_calibration(
     calibration: Calibration, path: Path, format_name: str, *, nearest: bool = False, source: InputFile | None = None
 ) -> list[str]:
-    """Write a calibration in one of EXPORT_FORMATS, whole or not at all; returns a line for each lens that was lost in
-    part.
+    """Write a calibration in one of EXPORT_FORMATS, whole or not at all; returns a line for each thing that the
+    format could not hold.
 
     nearest: write the nearest lens model that the format knows where it can't express a camera's.
     source: the calibration's file; the notes in what is written name it.
 
     Raises GtcalError for an unknown format, a lens that it can't express, or a file that can't be written."""
     rig = calibration_rig(calibration)
-    write_rig(rig, path, format_name, made_by("export", rig, source), nearest=nearest)
-    return losses(rig, path, format_name) if nearest else []
+    return write_rig(rig, path, format_name, made_by("export", rig, source), nearest=nearest)
 
 
 def calibration_rig(calibration: Calibration) -> Rig:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,7 +13,9 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from gtcal.bounds import LARGEST_SIDE_PX, within
 from gtcal.camera import FloatArray
+from gtcal.documents import short as _short
 from gtcal.errors import GtcalError
 
 # Files print rotations with as few as four decimals; a typo or a transposed row is further off than that.
@@ -83,6 +86,8 @@ class Field:
         number = self.number()
         if number < 1 or number != round(number):
             raise self.error(f"is {_short(self.value)}; expected a positive whole number of pixels")
+        if number > LARGEST_SIDE_PX:
+            raise self.error(f"is {_short(self.value)} px; no image has more than {LARGEST_SIDE_PX}")
         return round(number)
 
     def numbers(self, *counts: int) -> FloatArray:
@@ -156,6 +161,11 @@ def rigid_from_matrix(rotation: FloatArray, translation_m: FloatArray) -> FloatA
     return a_T_b
 
 
+def quoted(text: str) -> str:
+    """A text for YAML, TOML and OpenCV's FileStorage, which don't all know JSON's escapes of letters."""
+    return json.dumps(text, ensure_ascii=False)
+
+
 def float_text(value: float) -> str:
     """Every digit, and a number to all readers of YAML, TOML and JSON: to PyYAML 1e-05 is text, 1.0e-05 a number."""
     text = repr(float(value))
@@ -169,11 +179,8 @@ def row_text(values: Sequence[float] | FloatArray) -> str:
 
 def _is_number(value: Any) -> bool:
     try:
-        return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
+        return (
+            isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value) and within(value)
+        )
     except OverflowError:  # a whole number beyond the largest float
         return False
-
-
-def _short(value: Any) -> str:
-    text = repr(value)
-    return text if len(text) <= 40 else f"{text[:37]}..."

@@ -7,13 +7,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
+import numpy as np
+
 from gtcal.camera_files import aria, colmap, kalibr, numpy_file, opencv, ros, ros_bag, toml_rigs, umetrack
 from gtcal.camera_files.gtcal_file import read_gtcal
 from gtcal.camera_files.gtcal_file import recognises as recognises_gtcal
 from gtcal.camera_files.lenses import difference_px
-from gtcal.camera_files.rig import ReadOptions, Rig
+from gtcal.camera_files.rig import ReadOptions, Rig, RigCamera
 from gtcal.documents import load_document
 from gtcal.errors import GtcalError
+from gtcal.files import check_regular, staged
 
 
 class CameraFileReader(Protocol):
@@ -60,6 +63,9 @@ CAMERA_FILE_WRITERS: dict[str, CameraFileWriter] = {
 }
 """By name, the formats that cameras can be written in."""
 
+FOLDER_FORMATS = ("ros", "ros_bag", "colmap")
+"""The formats that are written as a folder."""
+
 _BY_DOCUMENT: dict[str, Callable[[Any], bool]] = {
     "kalibr": kalibr.recognises,
     "ros": ros.recognises,
@@ -70,6 +76,7 @@ _BY_DOCUMENT: dict[str, Callable[[Any], bool]] = {
     "gtcal": recognises_gtcal,
 }
 _SAME_LENS_PX = 1e-6
+_SAME_POSE = 1e-6  # of a rotation matrix's numbers, and metres
 _DOCUMENTS = (".yaml", ".yml", ".json", ".jsonl", ".toml")
 
 
@@ -85,6 +92,7 @@ def read_rig(path: Path, format_name: str | None, options: ReadOptions | None = 
     """The cameras in a file or folder, in the format of this name, or that which it is of where none is given.
 
     Raises GtcalError for a file that is missing, of no known format, or wrong."""
+    check_regular(path)
     if not path.exists():
         raise GtcalError(f"{path}: there is no such file")
     if format_name is not None and format_name not in CAMERA_FILE_READERS:
@@ -92,28 +100,65 @@ def read_rig(path: Path, format_name: str | None, options: ReadOptions | None = 
     found = format_name or recognised(path)
     if found is None:
         raise GtcalError(f"{path}: is no camera file that gtcal knows; formats: {', '.join(CAMERA_FILE_READERS)}")
-    return ReadRig(CAMERA_FILE_READERS[found](path, options or ReadOptions()), found)
+    try:
+        return ReadRig(CAMERA_FILE_READERS[found](path, options or ReadOptions()), found)
+    except GtcalError as error:
+        if str(path) in str(error):
+            raise
+        raise GtcalError(f"{path}: {error}") from None  # of the cameras together, which know of no file
 
 
-def write_rig(rig: Rig, path: Path, format_name: str, notes: Sequence[str], *, nearest: bool = False) -> None:
-    """Write cameras in the format of this name, whole or not at all.
+def write_rig(rig: Rig, path: Path, format_name: str, notes: Sequence[str], *, nearest: bool = False) -> list[str]:
+    """Write cameras in the format of this name, whole or not at all. It is read again before it is put in place: a line
+    is returned for each thing that the format could not hold.
 
-    Raises GtcalError for an unknown format, a lens that it can't express, or where it can't be written."""
+    Raises GtcalError for an unknown format, a lens that it can't express, or where it can't be written or read again.
+    """
     if format_name not in CAMERA_FILE_WRITERS:
         raise GtcalError(f"{format_name!r} is no format of an export; formats: {', '.join(CAMERA_FILE_WRITERS)}")
-    CAMERA_FILE_WRITERS[format_name](rig, path, notes, nearest)
+    if format_name == "ros_bag":
+        ros_bag.check_new(path)
+    with staged(path) as aside:
+        CAMERA_FILE_WRITERS[format_name](rig, aside, notes, nearest)
+        try:
+            again = read_rig(aside, format_name).rig
+        except GtcalError as error:
+            said = str(error).replace(str(aside), path.name)
+            raise GtcalError(f"{path}: not written, as {format_name} can't hold these cameras: {said}") from error
+        return _losses(rig, again)
 
 
-def losses(rig: Rig, path: Path, format_name: str) -> list[str]:
-    """What was lost in writing the rig to a file, by reading it again: a line for each camera whose lens is another."""
-    again = {camera.name: camera.camera for camera in read_rig(path, format_name).rig.cameras}
+def _losses(rig: Rig, again: Rig) -> list[str]:
+    """What is other in the cameras that were read again, a line each."""
+    lines = [line for camera, read in _pairs(rig, again) for line in _differences(camera, read)]
+    if len(again.cameras) != len(rig.cameras):
+        lines.append(f"{len(again.cameras)} of {len(rig.cameras)} cameras can be read again")
+    if rig.posed and not again.posed:
+        lines.append(f"the cameras' poses can't be read again: {again.unposed}")
+    return lines
+
+
+def _pairs(rig: Rig, again: Rig) -> list[tuple[RigCamera, RigCamera]]:
+    """Each camera with that of its name, else with those of other names in turn."""
+    named = {camera.name: camera for camera in again.cameras}
+    own = {camera.name for camera in rig.cameras}
+    others = iter([camera for camera in again.cameras if camera.name not in own])
+    paired = [(camera, named.get(camera.name) or next(others, None)) for camera in rig.cameras]
+    return [(camera, read) for camera, read in paired if read is not None]
+
+
+def _differences(camera: RigCamera, read: RigCamera) -> list[str]:
     lines = []
-    for camera in rig.cameras:
-        if camera.name in again:
-            rms_px, max_px = difference_px(camera.camera, again[camera.name])
-            if max_px > _SAME_LENS_PX:
-                model = again[camera.name].model.name
-                lines.append(f"camera {camera.name!r} as {model}: off by {rms_px:.3g} px rms, {max_px:.3g} px at most")
+    if read.name != camera.name:
+        lines.append(f"camera {camera.name!r} is called {read.name!r} there")
+    rms_px, max_px = difference_px(camera.camera, read.camera)
+    if max_px > _SAME_LENS_PX:
+        model = read.camera.model.name
+        lines.append(f"camera {camera.name!r} as {model}: off by {rms_px:.3g} px rms, {max_px:.3g} px at most")
+    if camera.camera_T_ref is not None and read.camera_T_ref is not None:
+        off = float(np.abs(camera.camera_T_ref - read.camera_T_ref).max())
+        if off > _SAME_POSE:
+            lines.append(f"camera {camera.name!r}: its pose is off by {off:.2g}")
     return lines
 
 

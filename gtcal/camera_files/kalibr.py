@@ -7,7 +7,6 @@ fields that Kalibr doesn't read, the camera's name and its camera_T_ref.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -16,7 +15,7 @@ import numpy as np
 from factors.camera_models import KANNALA_BRANDT4
 from factors.rigid import inverse
 from gtcal.camera import FloatArray
-from gtcal.camera_files.fields import Field, row_text
+from gtcal.camera_files.fields import Field, quoted, row_text
 from gtcal.camera_files.lenses import KB4, RADTAN4, Expressed, express
 from gtcal.camera_files.rig import ReadOptions, Rig, RigCamera, image_size, padded, rig_camera, with_pose
 from gtcal.documents import load_document
@@ -72,13 +71,13 @@ def _camera_lines(i: int, camera: RigCamera, nearest: bool) -> list[str]:
     found = express(camera.camera, format_name=TITLE, forms=(RADTAN4, KB4), nearest=nearest)
     return [
         f"cam{i}:  # {found.said(camera.camera)}",
-        f"  name: {json.dumps(camera.name)}",
+        f"  name: {quoted(camera.name)}",
         "  camera_model: pinhole",
         f"  distortion_model: {'equidistant' if found.model == KANNALA_BRANDT4 else 'radtan'}",
         f"  intrinsics: {row_text(found.theta[:4])}",
         f"  distortion_coeffs: {row_text(found.theta[4:8])}",
         f"  resolution: [{camera.image_size_px[0]}, {camera.image_size_px[1]}]",
-        f"  rostopic: {json.dumps(f'/{camera.name}/image_raw')}",
+        f"  rostopic: {quoted(f'/{camera.name}/image_raw')}",
     ]
 
 

@@ -6,7 +6,6 @@ there are poses, body_T_board (4, 4) of a calibration, ref and notes. Pixels: in
 
 from __future__ import annotations
 
-import zipfile
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -17,9 +16,11 @@ from gtcal.camera_files.fields import Field
 from gtcal.camera_files.lenses import Expressed, Form
 from gtcal.camera_files.rig import ReadOptions, Rig, RigCamera, image_size, rig_camera, with_pose
 from gtcal.errors import GtcalError
-from gtcal.files import write_aside
+from gtcal.files import MiB, check_regular, is_there, write_aside
+from gtcal.npz import load_arrays
 
 TITLE = "NumPy's npz"
+_MOST_BYTES = 4 * MiB  # of ten thousand cameras
 
 
 def read_numpy(path: Path, options: ReadOptions) -> Rig:
@@ -72,12 +73,12 @@ def _camera(document: Field, name: Field, model: Field, size: Field, options: Re
 
 
 def _load(path: Path) -> dict[str, object]:
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            if not isinstance(file, np.lib.npyio.NpzFile):
-                raise GtcalError(f"{path}: is a single array; expected an npz with names, models, theta_<name>")
-            return {name: file[name].tolist() for name in file.files}
-    except OSError as error:
-        raise GtcalError(f"{path}: can't be read: {error.strerror or 'it is no npz, or damaged'}") from error
-    except (ValueError, EOFError, KeyError, zipfile.BadZipFile, NotImplementedError) as error:
-        raise GtcalError(f"{path}: is no npz, or damaged: {' '.join(str(error).split())}") from error
+    check_regular(path)
+    if is_there(path) and path.is_file() and _starts_as_array(path):
+        raise GtcalError(f"{path}: is a single array; expected an npz with names, models, theta_<name>")
+    return {name: array.tolist() for name, array in load_arrays(path, _MOST_BYTES).items()}
+
+
+def _starts_as_array(path: Path) -> bool:
+    with path.open("rb") as file:
+        return file.read(6) == b"\x93NUMPY"

@@ -8,7 +8,6 @@ the manifest) must say which.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -18,7 +17,7 @@ import numpy as np
 
 from factors.camera_models import KANNALA_BRANDT4, PINHOLE_RADTAN
 from gtcal.camera import FloatArray
-from gtcal.camera_files.fields import Field, float_text, row_text
+from gtcal.camera_files.fields import Field, float_text, quoted, row_text
 from gtcal.camera_files.lenses import KB4, PINHOLE, RADTAN5, express
 from gtcal.camera_files.rig import (
     OPENCV_COUNTS,
@@ -78,7 +77,7 @@ def _camera_lines(i: int, camera: RigCamera, nearest: bool) -> list[str]:
     fx, fy, cx, cy = found.theta[:4]
     lines = [
         f"cam{i}:  # {found.said(camera.camera)}",
-        f"   name: {json.dumps(camera.name)}",
+        f"   name: {quoted(camera.name)}",
         f"   fisheye: {int(found.model == KANNALA_BRANDT4)}",
         f"   lens_off_at_most_px: {float_text(found.max_px)}",
         f"   image_width: {camera.image_size_px[0]}",

@@ -12,10 +12,12 @@ import cv2
 import numpy as np
 
 from factors.camera_models import CAMERA_MODELS
+from gtcal.bounds import LARGEST_LENS
 from gtcal.camera import Camera, FloatArray
 from gtcal.camera_files.fields import Field
 from gtcal.camera_files.lenses import RADTAN5, Expressed, ForeignLens, Form, as_model, fit_foreign
 from gtcal.errors import GtcalError
+from gtcal.names import check_name
 
 LengthUnit = Literal["m", "mm"]
 _LENGTHS_M: dict[LengthUnit, float] = {"m": 1.0, "mm": 1e-3}
@@ -74,7 +76,8 @@ class Rig:
     ref: the frame's name, letters, digits and _ / . - only. ref_words: what it is.
     unposed: why no camera has a pose; empty where all have.
     body_T_board: (4, 4) of a calibration.
-    Raises GtcalError where two cameras have the same name, only some have a pose, or ref is no name of a frame."""
+    Raises GtcalError where a camera's name can be none, two have the same, only some have a pose, or ref is no name of
+    a frame."""
 
     cameras: tuple[RigCamera, ...]
     ref: str
@@ -87,6 +90,7 @@ class Rig:
             raise GtcalError(f"the frame {self.ref!r} of the cameras: a frame's name has letters, digits, _ / . - only")
         names = [camera.name for camera in self.cameras]
         for name in names:
+            check_name("camera", name)
             if names.count(name) > 1:
                 raise GtcalError(f"there are two cameras named {name!r}; rename one")
         posed = [camera.name for camera in self.cameras if camera.camera_T_ref is not None]
@@ -122,6 +126,8 @@ def rig_camera(field: Field, name: str, lens: Lens, image_size_px: tuple[int, in
 
     Raises GtcalError for a focal length that is not positive, a lens that gtcal has no model of unless
     ``options.nearest``."""
+    if (np.abs(lens.theta) > LARGEST_LENS).any():
+        raise field.error(f"a parameter of the lens is {np.abs(lens.theta).max():.3g}, beyond any lens")
     if not (lens.theta[:2] > 0).all():
         raise field.error(f"the focal lengths are {lens.theta[0]:g} and {lens.theta[1]:g}; expected positive numbers")
     found = _known(field, lens, image_size_px, options) if isinstance(lens, ForeignLens) else lens

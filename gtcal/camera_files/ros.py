@@ -8,7 +8,6 @@ A camera_info as 'ros2 topic echo' prints it is read too.
 
 from __future__ import annotations
 
-import json
 import re
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Sequence
@@ -21,7 +20,7 @@ import numpy as np
 from factors.camera_models import KANNALA_BRANDT4
 from factors.rigid import inverse
 from gtcal.camera import FloatArray
-from gtcal.camera_files.fields import Field, float_text, rigid_from_quaternion, row_text
+from gtcal.camera_files.fields import Field, float_text, quoted, rigid_from_quaternion, row_text
 from gtcal.camera_files.lenses import KB4, RADTAN5, Expressed, express
 from gtcal.camera_files.opencv import focal_and_centre
 from gtcal.camera_files.rig import (
@@ -175,7 +174,12 @@ def read_size(field: Field, options: ReadOptions) -> tuple[int, int]:
 def _read_camera(path: Path, options: ReadOptions) -> RigCamera:
     document = Field(path, "", load_document(path))
     name = document["camera_name"].text() if "camera_name" in document else path.stem
-    return rig_camera(document, name, read_lens(document), read_size(document, options), options)
+    return rig_camera(document, plain_name(name), read_lens(document), read_size(document, options), options)
+
+
+def plain_name(name: str) -> str:
+    """ROS names cameras by their namespaces, as narrow_stereo/left, which is no name of a file: narrow_stereo_left."""
+    return name.strip("/").replace("/", "_")
 
 
 def _camera_info(camera: RigCamera, notes: Sequence[str], nearest: bool) -> str:
@@ -187,7 +191,7 @@ def _camera_info(camera: RigCamera, notes: Sequence[str], nearest: bool) -> str:
         f"# {found.said(camera.camera)}",
         f"image_width: {camera.image_size_px[0]}",
         f"image_height: {camera.image_size_px[1]}",
-        f"camera_name: {json.dumps(camera.name)}",
+        f"camera_name: {quoted(camera.name)}",
         *_matrix("camera_matrix", 3, 3, np.array([fx, 0, cx, 0, fy, cy, 0, 0, 1])),
         f"distortion_model: {model}",
         *_matrix("distortion_coefficients", 1, len(coefficients), coefficients),

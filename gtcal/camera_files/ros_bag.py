@@ -5,8 +5,6 @@ Conventions as in ``gtcal.camera_files.ros``: /tf_static holds, for a camera's f
 
 from __future__ import annotations
 
-import secrets
-import shutil
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -23,11 +21,13 @@ from gtcal.camera_files.ros import (
     frame_names,
     model_and_coefficients,
     place,
+    plain_name,
     quaternion_wxyz,
     read_lens,
     read_size,
 )
 from gtcal.errors import GtcalError
+from gtcal.files import is_there, staged
 
 TITLE = "a ROS bag"
 _INFO, _TF = "sensor_msgs/msg/CameraInfo", "tf2_msgs/msg/TFMessage"
@@ -70,19 +70,17 @@ def write_ros_bag(rig: Rig, path: Path, notes: Sequence[str], nearest: bool) -> 
     Raises GtcalError where rosbags is not installed, there is something at ``path`` already, or for a lens that ROS
     doesn't know unless ``nearest``."""
     _rosbags()
-    if path.exists():
-        raise GtcalError(f"{path}: there is something here already; a bag is a new folder")
+    check_new(path)
     frames = frame_names(rig)
     found = {camera.name: express_for_ros(camera, nearest) for camera in rig.cameras}
-    aside = path.with_name(f".{path.name}.{secrets.token_hex(4)}.part")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
+    with staged(path) as aside:  # of the same name: rosbags calls what is in a bag after its folder
         _write(rig, aside, frames, found, notes)
-        aside.replace(path)
-    except OSError as error:
-        raise GtcalError(f"{path}: can't be written: {error.strerror or error}") from error
-    finally:
-        shutil.rmtree(aside, ignore_errors=True)
+
+
+def check_new(path: Path) -> None:
+    """Raises GtcalError where there is something at ``path``."""
+    if is_there(path):
+        raise GtcalError(f"{path}: there is something here already; a bag is a new folder")
 
 
 def _rosbags() -> tuple[Any, Any, Any]:
@@ -102,7 +100,7 @@ def _first(reader: Any, connection: Any) -> Any:
 
 
 def _camera(path: Path, topic: str, info: Any, options: ReadOptions) -> RigCamera:
-    name = topic.strip("/").removesuffix("camera_info").strip("/").replace("/", "_") or "camera"
+    name = plain_name(topic.strip("/").removesuffix("camera_info")) or "camera"
     values = {
         "width": info.width,
         "height": info.height,

@@ -8,7 +8,6 @@ hand on four coefficients of a pinhole (k1 k2 p1 p2), aniposelib five.
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Sequence
 from pathlib import Path
@@ -18,7 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from factors.camera_models import KANNALA_BRANDT4
 from gtcal.camera import FloatArray
-from gtcal.camera_files.fields import Field, rigid_from_matrix, row_text
+from gtcal.camera_files.fields import Field, quoted, rigid_from_matrix, row_text
 from gtcal.camera_files.lenses import KB4, RADTAN4, RADTAN5, Form, express
 from gtcal.camera_files.opencv import focal_and_centre
 from gtcal.camera_files.rig import (
@@ -97,7 +96,7 @@ def _tables(rig: Rig, keys: Sequence[str], title: str, pinhole: Form, nearest: b
         fx, fy, cx, cy = found.theta[:4]
         lines += [
             f"[{key}]  # {found.said(camera.camera)}",
-            f"name = {json.dumps(camera.name)}",
+            f"name = {quoted(camera.name)}",
             f"size = [{camera.image_size_px[0]}, {camera.image_size_px[1]}]",
             f"matrix = [{row_text([fx, 0, cx])}, {row_text([0, fy, cy])}, {row_text([0, 0, 1])}]",
             f"distortions = {row_text(found.theta[4 : found.form.n_free])}",
@@ -148,4 +147,4 @@ def _lens(table: Field) -> Lens:
 
 
 def _key(name: str) -> str:
-    return name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else json.dumps(name)
+    return name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else quoted(name)

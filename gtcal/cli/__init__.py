@@ -5,8 +5,11 @@ from __future__ import annotations
 import gc
 import logging
 import os
+import signal
 import sys
-from collections.abc import Sequence
+import threading
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from importlib import import_module
 from importlib.metadata import version
 
@@ -51,7 +54,7 @@ _GC_THRESHOLD = 100_000
 """Python looks for garbage after so many new objects. At its own 700 that takes a tenth of a short command's time: its
 imports make many objects and no garbage."""
 
-EXIT_FAILURE, EXIT_USAGE, EXIT_INTERRUPTED = 1, 2, 130
+EXIT_FAILURE, EXIT_USAGE, EXIT_INTERRUPTED, EXIT_ENDED = 1, 2, 130, 143
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -74,20 +77,56 @@ def _overview() -> str:
     return OVERVIEW.format(commands="\n".join(f"  {name:{width}}  {what}" for name, what in COMMANDS.items()))
 
 
+class _EndedError(BaseException):
+    """A scheduler wants this program to end. As KeyboardInterrupt, nothing that catches errors catches it."""
+
+
+@contextmanager
+def _ending_in_words() -> Iterator[None]:
+    """SIGTERM ends what runs inside as Ctrl-C does: what is being written is cleared away, and a line says it."""
+
+    def end(*_: object) -> None:
+        signal.signal(signal.SIGTERM, signal.SIG_IGN)  # while clearing away
+        raise _EndedError
+
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGTERM, end)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def _warn_on_stderr() -> None:
+    """What is logged, in single lines."""
+    from gtcal.plain import OneLine
+
+    handler = logging.StreamHandler()
+    handler.setFormatter(OneLine("%(name)s: %(message)s"))
+    logging.basicConfig(handlers=[handler], level=logging.WARNING)
+
+
 def _run(command: str, arguments: list[str]) -> int:
     gc.set_threshold(_GC_THRESHOLD)  # before the imports: they are half of a short command's time
     import tyro
 
     from gtcal.errors import GtcalError
+    from gtcal.plain import one_line
 
-    logging.basicConfig(format="%(name)s: %(message)s", level=logging.WARNING)
+    _warn_on_stderr()
     function = getattr(import_module(f"gtcal.cli.{command}"), command)
     try:
-        code = tyro.cli(function, prog=f"gtcal {command}", args=arguments)
-        sys.stdout.flush()
+        with _ending_in_words():
+            code = tyro.cli(function, prog=f"gtcal {command}", args=arguments)
+            sys.stdout.flush()
     except GtcalError as error:
-        print(f"gtcal: {error}", file=sys.stderr)
+        print(f"gtcal: {one_line(str(error))}", file=sys.stderr)
         return EXIT_FAILURE
+    except _EndedError:
+        print("gtcal: ended by a signal (SIGTERM)", file=sys.stderr)
+        return EXIT_ENDED
     except KeyboardInterrupt:
         print("gtcal: interrupted", file=sys.stderr)
         return EXIT_INTERRUPTED

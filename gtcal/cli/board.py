@@ -76,7 +76,9 @@ def board(
         quiet: Print nothing.
     """
     from gtcal.drawing import draw_board
+    from gtcal.files import check_outputs
 
+    check_outputs([output], [file] if file is not None else ())
     if lollypop:
         _draw_lollypop(output, file, page, dpi, quiet)
         return

@@ -131,6 +131,7 @@ def calibrate(
     from gtcal.estimation.options import CalibrationOptions
     from gtcal.estimation.priors import Priors
     from gtcal.estimation.priors_file import read_priors
+    from gtcal.files import check_outputs
     from gtcal.recordings.recording import load_recording
     from gtcal.results.calibration_file import write_calibration
     from gtcal.workflow import calibrate as run
@@ -160,6 +161,7 @@ def calibrate(
         allow_degenerate=allow_degenerate,
     )
     loaded = load_recording(recording)
+    check_outputs((output, report), (*loaded.files, *((priors,) if priors is not None else ())))
     with shown_progress(quiet) as progress:
         calibration = run(loaded, options, progress=progress)
         if report is not None:

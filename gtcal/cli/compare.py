@@ -46,15 +46,15 @@ def compare(
         seed: Of the random numbers.
         quiet: Show no progress and print nothing.
     """
-    from rich.console import Console
-
     from gtcal.baselines.compare import compare as run
     from gtcal.baselines.compare import compare_markers
     from gtcal.baselines.compare_file import write_comparison
     from gtcal.cli.progress import shown_progress
+    from gtcal.cli.terminal import Terminal
     from gtcal.errors import GtcalError
     from gtcal.estimation.options import CalibrationOptions
     from gtcal.estimation.priors_file import read_priors
+    from gtcal.files import check_outputs
     from gtcal.recordings.recording import load_recording
     from gtcal.verification.lollypop_recording import load_lollypop_recording
 
@@ -68,6 +68,8 @@ def compare(
     options = CalibrationOptions(intrinsics=mode, clock=clock, seed=seed)
     loaded = load_recording(recording)
     device = load_lollypop_recording(lollypop) if lollypop is not None else None
+    read = [path for path in (measured_x, markers) if path is not None]
+    check_outputs([output], (*read, *loaded.files, *(device.files if device is not None else ())))
     with shown_progress(quiet) as progress:
         found = run(loaded, device, options, measured_body_T_board=body_T_board, progress=progress)
         if markers is not None:
@@ -76,14 +78,14 @@ def compare(
         write_comparison(output, found)
     if quiet:
         return
-    console = Console()
+    console = Terminal()
     console.print(_table(found))
     for failed in (row for row in found if row.failure):
-        console.print(f"{failed.method}: {failed.failure}", highlight=False, markup=False)
+        console.print(f"{failed.method}: {failed.failure}", highlight=False)
     if body_T_board is None:
-        console.print("Sturm's method is left out: it needs --measured-x", highlight=False, markup=False)
+        console.print("Sturm's method is left out: it needs --measured-x", highlight=False)
     if output is not None:
-        console.print(f"written: {output}", highlight=False, markup=False)
+        console.print(f"written: {output}", highlight=False)
 
 
 def _table(found: tuple[Compared, ...]) -> Table:

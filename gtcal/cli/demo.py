@@ -44,13 +44,14 @@ def demo(
     from gtcal.cli.tables import print_calibration, print_errors
     from gtcal.cli.verification_tables import print_verification
     from gtcal.estimation.options import CalibrationOptions, MocapSigmas
-    from gtcal.files import write_text
+    from gtcal.files import check_outputs, write_text
     from gtcal.report import gather_evidence, write_report
     from gtcal.results.calibration_file import write_calibration
     from gtcal.simulation import MocapNoise, SimulationOptions, quest3_like_rig, simulate
     from gtcal.verification.verification_file import write_verification
     from gtcal.workflow import calibrate
 
+    check_outputs([output], folders=True)
     _clear_earlier_demo(output)
     write_text(output / _MARK, "")  # before the rest, so that an interrupted demo can be run again
     options = SimulationOptions(

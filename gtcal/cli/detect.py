@@ -26,19 +26,22 @@ def detect(
         redo: Detect again, also where the manifest gives detections next to images.
         quiet: Show no progress and print nothing.
     """
-    from rich.console import Console
-
     from gtcal.cli.progress import shown_progress
     from gtcal.cli.tables import detection_table
+    from gtcal.cli.terminal import Terminal
+    from gtcal.files import check_outputs
     from gtcal.recordings.detection_files import write_detections
     from gtcal.recordings.recording import load_recording
     from gtcal.workflow import detected
 
     loaded = load_recording(recording)
+    if output is not None:
+        check_outputs([output], folders=True)
+        check_outputs((output / f"{name}.csv" for name in loaded.cameras), loaded.files)
     with shown_progress(quiet) as progress:
         found = detected(loaded, progress=progress, redo=redo)
     if output is not None:
         for name, detections in found.detections.items():
             write_detections(output / f"{name}.csv", detections)
     if not quiet:
-        Console().print(detection_table(found))
+        Terminal().print(detection_table(found))

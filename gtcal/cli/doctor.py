@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
+    from gtcal.cli.terminal import Terminal
     from gtcal.doctor.findings import Diagnosis, Finding
 
 
@@ -35,26 +34,29 @@ def doctor(
         json: JSON file to write the findings to.
         quiet: Show no progress and print nothing: the exit code tells.
     """
-    from rich.console import Console
-
     from gtcal.cli.progress import shown_progress
+    from gtcal.cli.terminal import Terminal
     from gtcal.doctor.diagnose import diagnose
     from gtcal.doctor.diagnosis_file import write_diagnosis
+    from gtcal.files import check_outputs
+    from gtcal.recordings.manifest import named_files
 
+    if json is not None:
+        check_outputs([json], named_files(recording))
     with shown_progress(quiet) as progress:
         found = diagnose(recording, progress=progress)
     if json is not None:
         write_diagnosis(json, found)
     if not quiet:
-        _show(Console(), found)
+        _show(Terminal(), found)
         if json is not None:
             print(f"written: {json}")
     return 0 if found.healthy else 1
 
 
-def _show(console: Console, found: Diagnosis) -> None:
+def _show(console: Terminal, found: Diagnosis) -> None:
     def line(text: str, style: str = "") -> None:
-        console.print(text, style=style, highlight=False, markup=False, soft_wrap=True)
+        console.print(text, style=style, highlight=False, soft_wrap=True)
 
     for number, finding in enumerate(found.findings, start=1):
         _show_finding(line, number, finding)

@@ -45,7 +45,7 @@ def drift(
 
     from gtcal.cli.progress import shown_progress
     from gtcal.cli.verification_tables import print_drift
-    from gtcal.files import fingerprint
+    from gtcal.files import check_outputs, fingerprint
     from gtcal.results.calibration_file import read_calibration
     from gtcal.results.provenance import provenance
     from gtcal.verification.drift import verify_series, write_drift_csv, write_drift_json
@@ -60,6 +60,7 @@ def drift(
     if len(set(names)) < len(names):
         names = [str(path) for path in recordings]
     loaded = [(name, load_lollypop_recording(path)) for name, path in zip(names, recordings, strict=True)]
+    check_outputs((output, csv, figure), (calibration, *(file for _, source in loaded for file in source.files)))
     own = fingerprint(calibration)
     with shown_progress(quiet) as progress:
         found = verify_series(loaded, calibrated, options, progress=progress, inputs=(own,))

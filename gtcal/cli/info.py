@@ -35,9 +35,11 @@ def info(
         quiet: Print nothing.
     """
     from gtcal.cli.progress import shown_progress
+    from gtcal.files import check_outputs
     from gtcal.overview.kind import Kind, kind_of
     from gtcal.readers import detect_mocap_format
 
+    check_outputs([figure], [path])
     if detect_mocap_format(path) is not None:
         _mocap_file(path, figure, quiet)
         return
@@ -80,8 +82,10 @@ def _loaded(path: Path, lollypop: bool, detect: bool, progress: Progress) -> Rec
 
 def _recording(recording: Recording | LollypopRecording, figure: Path | None, quiet: bool) -> None:
     from gtcal.cli.info_tables import print_summary
+    from gtcal.files import check_outputs
     from gtcal.overview.summary import summarise
 
+    check_outputs([figure], recording.files)
     summary = summarise(recording)
     if figure is not None:
         from gtcal.overview.summary_figure import draw_recording

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from rich.console import Console, Group, RenderableType
+from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
 from gtcal.cli.tables import new_table
+from gtcal.cli.terminal import Terminal
 from gtcal.overview.summary import BodySummary, CameraSummary, RecordingSummary, Times
 from gtcal.readers import MocapSummary
 from gtcal.results.calibration import Provenance
@@ -22,7 +23,7 @@ def print_summary(summary: RecordingSummary) -> None:
         _body_table(summary),
     ]
     parts += [Text(f"note: {remark}", style="cyan") for remark in summary.remarks]
-    Console().print(Group(*parts))
+    Terminal().print(Group(*parts))
 
 
 def print_provenance(provenance: Provenance) -> None:
@@ -33,7 +34,7 @@ def print_provenance(provenance: Provenance) -> None:
         f"by: {' '.join(provenance.command_line)}",
         *(f"from {entry.path}  sha256 {entry.sha256[:12]}" for entry in provenance.inputs),
     ]
-    Console().print(Group(*(Text(line, style="dim") for line in lines)))
+    Terminal().print(Group(*(Text(line, style="dim") for line in lines)))
 
 
 def _lens_table(summary: RecordingSummary) -> Table:
@@ -117,7 +118,7 @@ def print_mocap_file(summary: MocapSummary) -> None:
     if summary.open_fields:
         parts.append(Text(f"the manifest has to state: {', '.join(summary.open_fields)}"))
     parts += [Text(f"note: {note}", style="cyan") for note in summary.notes]
-    Console().print(Group(*parts))
+    Terminal().print(Group(*parts))
 
 
 def _no_bodies(summary: MocapSummary) -> Text:

@@ -28,8 +28,9 @@ def init(
         force: Replace a manifest that is there.
         quiet: Print nothing.
     """
+    from gtcal.documents import read_text
     from gtcal.errors import GtcalError
-    from gtcal.files import write_text
+    from gtcal.files import check_outputs, write_text
     from gtcal.overview.draft import draft
     from gtcal.overview.survey import survey
     from gtcal.recordings.manifest import MANIFEST_NAMES
@@ -37,6 +38,10 @@ def init(
     manifest = output if output is not None else folder / MANIFEST_NAMES[0]
     if manifest.exists() and not force:
         raise GtcalError(f"{manifest}: is there already; --force replaces it, -o names another file")
+    check_outputs([manifest])
+    named = manifest.name in MANIFEST_NAMES
+    if manifest.is_file() and not named and "gtcal_recording" not in read_text(manifest):
+        raise GtcalError(f"{manifest}: is no manifest, which is all that --force replaces; give another file with -o")
     found = survey(folder)
     drafted = draft(found, manifest)
     write_text(manifest, drafted.text)
@@ -45,13 +50,13 @@ def init(
 
 
 def _print(manifest: Path, questions: tuple[str, ...], left: tuple[str, ...]) -> None:
-    from rich.console import Console
+    from gtcal.cli.terminal import Terminal
 
-    console = Console(highlight=False, soft_wrap=True)
+    console = Terminal(highlight=False, soft_wrap=True)
     for line in left:
-        console.print(f"left aside: {line}", style="yellow", markup=False)
-    console.print(f"written: {manifest}", markup=False)
+        console.print(f"left aside: {line}", style="yellow")
+    console.print(f"written: {manifest}")
     if questions:
-        console.print(f"to be answered there, {len(questions)}:", markup=False)
+        console.print(f"to be answered there, {len(questions)}:")
     for question in questions:
-        console.print(f"  {question}", markup=False)
+        console.print(f"  {question}")

@@ -14,17 +14,20 @@ def shown_progress(quiet: bool = False) -> Iterator[Progress]:
     if quiet:
         yield silent
         return
-    from rich.console import Console
+    from rich.markup import escape
     from rich.progress import Progress as Bars
     from rich.progress import TaskID
 
-    console = Console(stderr=True)
+    from gtcal.cli.terminal import Terminal
+    from gtcal.plain import printable
+
+    console = Terminal(stderr=True)
     with Bars(console=console, transient=True, disable=not console.is_terminal) as bars:
         tasks: dict[str, TaskID] = {}
 
         def show(what: str, done: int, total: int) -> None:
             if what not in tasks:
-                tasks[what] = bars.add_task(what)
+                tasks[what] = bars.add_task(escape(printable(what)))
             bars.update(tasks[what], completed=done, total=total)
 
         yield show

@@ -10,6 +10,7 @@ import tyro
 if TYPE_CHECKING:
     from gtcal.progress import Progress
     from gtcal.results.calibration import Calibration
+    from gtcal.verification.lollypop_recording import LollypopRecording
     from gtcal.verification.verification import Verification
 
 
@@ -38,14 +39,19 @@ def report(
         quiet: Show no progress and print nothing.
     """
     from gtcal.cli.progress import shown_progress
+    from gtcal.files import check_outputs
     from gtcal.recordings.recording import load_recording
     from gtcal.report import gather_evidence, write_report
     from gtcal.results.calibration_file import read_calibration
+    from gtcal.verification.lollypop_recording import load_lollypop_recording
 
     read = read_calibration(calibration)
+    loaded = load_recording(recording) if recording is not None else None
+    device = load_lollypop_recording(lollypop) if lollypop is not None else None
+    files = [path for path in (calibration, verification) if path is not None]
+    check_outputs([output], (*files, *(file for source in (loaded, device) if source for file in source.files)))
     with shown_progress(quiet) as progress:
-        verified = _verification(calibration, read, verification, lollypop, progress)
-        loaded = load_recording(recording) if recording is not None else None
+        verified = _verification(calibration, read, verification, device, progress)
         evidence = gather_evidence(read, loaded, progress=progress) if loaded is not None else None
         write_report(output, read, evidence=evidence, verification=verified, progress=progress)
     if not quiet:
@@ -53,12 +59,11 @@ def report(
 
 
 def _verification(
-    path: Path, calibration: Calibration, file: Path | None, lollypop: Path | None, progress: Progress
+    path: Path, calibration: Calibration, file: Path | None, lollypop: LollypopRecording | None, progress: Progress
 ) -> Verification | None:
     """As read from its file, or again from its recording. ``path``: the calibration's."""
     from gtcal.errors import GtcalError
     from gtcal.files import fingerprint
-    from gtcal.verification.lollypop_recording import load_lollypop_recording
     from gtcal.verification.verification_file import read_verification
     from gtcal.verification.workflow import verify
 
@@ -69,4 +74,4 @@ def _verification(
     if lollypop is None:
         return read
     options = read.options if read is not None else None
-    return verify(load_lollypop_recording(lollypop), calibration, options, progress=progress, inputs=(used,))
+    return verify(lollypop, calibration, options, progress=progress, inputs=(used,))

@@ -17,10 +17,11 @@ def schema(*, lollypop: bool = False, output: Annotated[Path | None, tyro.conf.a
     """
     import json
 
-    from gtcal.files import write_text
+    from gtcal.files import check_outputs, write_text
     from gtcal.recordings.manifest import manifest_schema
     from gtcal.verification.lollypop_recording import lollypop_manifest_schema
 
+    check_outputs([output])
     text = json.dumps(lollypop_manifest_schema() if lollypop else manifest_schema(), indent=2)
     if output is None:
         print(text)

@@ -46,30 +46,32 @@ def selfcheck(
         seed: Of the random starting rotations of stage 1.
         quiet: Show no progress and print nothing.
     """
-    from rich.console import Console
-
     from gtcal.cli.calibrate import intrinsics_mode
     from gtcal.cli.progress import shown_progress
+    from gtcal.cli.terminal import Terminal
     from gtcal.estimation.options import CalibrationOptions
+    from gtcal.files import check_outputs
     from gtcal.recordings.recording import load_recording
     from gtcal.selfchecks.selfcheck import selfcheck as run
     from gtcal.selfchecks.selfcheck_file import write_selfcheck
 
     mode = intrinsics_mode("auto", calibrate=calibrate_intrinsics, refine=refine_intrinsics)
     options = CalibrationOptions(intrinsics=mode, mocap=mocap_noise, clock=clock, seed=seed)
+    loaded = load_recording(recording)
+    check_outputs([output], loaded.files)
     with shown_progress(quiet) as progress:
-        found = run(load_recording(recording), options, n_folds=folds, progress=progress)
+        found = run(loaded, options, n_folds=folds, progress=progress)
     if output is not None:
         write_selfcheck(output, found)
     if quiet:
         return
-    console = Console()
+    console = Terminal()
     for table in _tables(found):
         console.print(table)
     for line in (*found.statements, *(f"note: {note}" for note in found.notes)):
-        console.print(line, highlight=False, markup=False)
+        console.print(line, highlight=False)
     if output is not None:
-        console.print(f"written: {output}", highlight=False, markup=False)
+        console.print(f"written: {output}", highlight=False)
 
 
 def _tables(found: SelfCheck) -> list[Table]:

@@ -98,6 +98,7 @@ def simulate(
     """
     from gtcal.board import load_board
     from gtcal.cli.progress import shown_progress
+    from gtcal.files import check_outputs, is_there
     from gtcal.recordings.capture import Capture
     from gtcal.simulation import (
         CornerNoise,
@@ -125,6 +126,7 @@ def simulate(
         clock_offset_s=1e-3 * clock_offset_ms,
         intrinsics=intrinsics,
     )
+    check_outputs([output], [Path(board)] if is_there(Path(board)) else (), folders=True)
     if lollypop:
         happened = _fault(options, fault, fault_camera, fault_mm, fault_deg, fault_percent, seed)
         _simulate_lollypop(options, happened, output, images=images, seed=seed, take=take, quiet=quiet)

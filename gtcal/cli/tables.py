@@ -6,12 +6,13 @@ from collections.abc import Sequence
 
 import numpy as np
 from rich import box
-from rich.console import Console, Group, RenderableType
+from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
 from factors.rigid import inverse
 from gtcal.camera import FloatArray
+from gtcal.cli.terminal import Terminal
 from gtcal.recordings.recording import Recording
 from gtcal.results.calibration import Calibration, CameraCalibration, StageReport, pose_difference
 from gtcal.results.covariance import CLUSTERED, ERRORS_IN_VARIABLES, NAIVE
@@ -41,7 +42,7 @@ def print_calibration(calibration: Calibration, *, notes: Sequence[str] = (), ve
         parts += [Text(f"clock: {line}") for line in calibration.clock.readout_statements]
     parts += [Text(f"note: {note}", style="cyan") for note in notes]
     parts += [Text(f"warning: {warning}", style="yellow") for warning in calibration.warnings]
-    Console().print(Group(*parts))
+    Terminal().print(Group(*parts))
 
 
 def fit_table(calibration: Calibration) -> Table:
@@ -225,7 +226,7 @@ def print_errors(calibration: Calibration, truth: GroundTruth) -> None:
         found, true = inverse(camera.camera_T_ref.a_T_b), inverse(truth.camera_T_ref[name])
         table.add_row(name, *_difference(found, true))
     table.add_row("board", *_difference(calibration.body_T_board.a_T_b, truth.body_T_board))
-    Console().print(table)
+    Terminal().print(table)
 
 
 def _difference(found: FloatArray, true: FloatArray) -> tuple[str, str]:

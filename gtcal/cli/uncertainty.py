@@ -33,26 +33,26 @@ def uncertainty(
     """
     import json
 
-    from rich.console import Console
-
+    from gtcal.cli.terminal import Terminal
     from gtcal.errors import GtcalError
-    from gtcal.files import write_text
+    from gtcal.files import check_outputs, write_text
     from gtcal.report.uncertainty_part import KIND_NAMES, noise_lines, sigma_rows
     from gtcal.results.calibration_file import read_calibration
     from gtcal.uncertainty.weak_directions import least_sure
 
     found = read_calibration(calibration)
+    check_outputs([output], [calibration])
     if found.covariance is None:
         raise GtcalError(f"{calibration}: has no covariance; calibrate with all the stages")
     kinds = [kind for kind in KIND_NAMES if kind in found.covariances]
     rows = sigma_rows(found)
     images = _images(found, distances_m)
     directions = least_sure(found)
-    console = Console()
+    console = Terminal()
     console.print(_sigma_table(kinds, found.covariance_kind, [(row.name, row.cells) for row in rows]))
     console.print(_image_table(images))
     for line in (*noise_lines(found.mocap_noise), "Least sure:", *(f"- {d.sentence}" for d in directions)):
-        console.print(line, highlight=False, markup=False, soft_wrap=True)
+        console.print(line, highlight=False, soft_wrap=True)
     if output is not None:
         document = {
             "gtcal_uncertainty": 1,
@@ -63,7 +63,7 @@ def uncertainty(
             "least_sure": [{"grade": str(d.grade), "sentence": d.sentence} for d in directions],
         }
         write_text(output, json.dumps(document, indent=1, allow_nan=False) + "\n")
-        console.print(f"written: {output}", highlight=False, markup=False)
+        console.print(f"written: {output}", highlight=False)
 
 
 def _images(calibration: Calibration, distances_m: tuple[float, ...]) -> list[dict[str, Any]]:

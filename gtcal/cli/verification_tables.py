@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from rich import box
-from rich.console import Console, Group, RenderableType
+from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
+from gtcal.cli.terminal import Terminal
 from gtcal.verification.drift import Drift
 from gtcal.verification.verification import CameraVerification, Verdict, Verification
 
@@ -32,7 +33,7 @@ def print_verification(verification: Verification, *, notes: Sequence[str] = (),
         parts += [Text(f"left out of {left.camera}: {left.count}: {left.reason}") for left in verification.left_out]
     parts += [Text(f"note: {note}", style="cyan") for note in notes]
     parts += [Text(f"warning: {warning}", style="yellow") for warning in verification.warnings]
-    Console().print(Group(*parts))
+    Terminal().print(Group(*parts))
 
 
 def _table(verification: Verification) -> Table:
@@ -120,7 +121,7 @@ def _depth_lines(verification: Verification) -> list[Text]:
 
 def print_drift(found: Drift) -> None:
     """Print a row per recording, the first failure and the trends."""
-    console = Console()
+    console = Terminal()
     console.print(_drift_table(found))
     first = found.first_failing
     if first is None:

@@ -66,7 +66,7 @@ def verify(
     """
     from gtcal.cli.progress import shown_progress
     from gtcal.cli.verification_tables import print_verification
-    from gtcal.files import fingerprint
+    from gtcal.files import check_outputs, fingerprint
     from gtcal.results.calibration_file import read_calibration
     from gtcal.verification.lollypop_recording import load_lollypop_recording
     from gtcal.verification.verification import VerificationOptions
@@ -84,6 +84,7 @@ def verify(
     )
     calibrated = read_calibration(calibration)
     loaded = load_lollypop_recording(recording)
+    check_outputs((output, report, sightings), (calibration, *loaded.files))
     with shown_progress(quiet) as progress:
         found = run(loaded, calibrated, options, progress=progress, inputs=(fingerprint(calibration),))
         if report is not None:

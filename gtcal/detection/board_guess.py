@@ -14,8 +14,9 @@ import numpy as np
 
 from gtcal.board import aruco_dictionary
 from gtcal.camera import FloatArray
+from gtcal.errors import GtcalError
 from gtcal.recordings.detections import IntArray
-from gtcal.recordings.images import GreyImage, Images
+from gtcal.recordings.images import GreyImage, Images, read_if_whole
 
 # Families that hold each other are represented by their largest member: DICT_4X4_50 is the head of DICT_4X4_1000.
 _ARUCO = {bits: tuple(f"DICT_{bits}X{bits}_{n}" for n in (50, 100, 250, 1000)) for bits in (4, 5, 6, 7)}
@@ -79,14 +80,15 @@ class _Arranged:
 
 
 def guess_board(images: Images) -> BoardGuess | None:
-    """From some images, evenly spread. None where none shows three tags of one dictionary.
+    """From some images, evenly spread, those that can't be read left out. None where none shows three tags of one
+    dictionary.
 
-    Raises GtcalError where an image can't be read."""
-    code = _best_code([images.read(i) for i in _spread(len(images), _FEW_IMAGES)])
+    Raises GtcalError where an image is of another size."""
+    code = _best_code(list(_whole(images, _FEW_IMAGES)))
     if code is None:
         return None
     family, border = code
-    shown = (images.read(i) for i in _spread(len(images), _MOST_IMAGES))
+    shown = _whole(images, _MOST_IMAGES)
     seen = [found for image in shown if len((found := _read(image, family, border)).ids)]
     counts = Counter(int(i) for found in seen for i in found.ids)
     # An id read once in many images is a misreading where others are read over and over.
@@ -96,6 +98,14 @@ def guess_board(images: Images) -> BoardGuess | None:
         return None
     seen = [_of(found, ids) for found in seen]
     return _described(seen, ids, family, border)
+
+
+def _whole(images: Images, most: int) -> Iterator[GreyImage]:
+    """At most so many that can be read, evenly spread."""
+    for index in _spread(len(images), most):
+        image = read_if_whole(images, index)
+        if not isinstance(image, GtcalError):
+            yield image
 
 
 def _spread(n: int, most: int) -> list[int]:

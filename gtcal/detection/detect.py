@@ -21,10 +21,11 @@ from gtcal.cores import all_cores
 from gtcal.detection.view_detection import SeenBoard, see_board
 from gtcal.detection.view_detection import detect_view as detect_view
 from gtcal.errors import GtcalError
-from gtcal.files import write_aside
+from gtcal.files import MiB, sha256_of, write_aside
+from gtcal.npz import load_arrays
 from gtcal.progress import Progress, silent
 from gtcal.recordings.detections import CameraDetections
-from gtcal.recordings.images import Images
+from gtcal.recordings.images import Images, left_out, read_if_whole
 from gtcal.verification.lollypop import Lollypop
 from gtcal.verification.lollypop_detection import see_lollypop
 
@@ -51,24 +52,39 @@ def detect(
 
     Nearly all the work is compiled code that lets other threads run, so threads serve as well as processes would.
 
-    Raises GtcalError where an image can't be read or isn't of the camera's size."""
+    Images that can't be read are left out, and a warning says how many.
+
+    Raises GtcalError where more than MOST_UNREADABLE of them can't, or one isn't of the camera's size."""
+    found, warning = _detect(images, board, camera, progress, workers)
+    if warning:
+        _log.warning("%s", warning)
+    return found
+
+
+def _detect(
+    images: Images, board: Board | Lollypop, camera: Camera | None, progress: Progress, workers: int | None
+) -> tuple[CameraDetections, str]:
+    """What is found, and what to say of images that can't be read."""
     if camera is not None:
         images = images.expecting(camera.image_width_px, camera.image_height_px)
     name = camera.name if camera is not None else "the images"
-    seen: list[SeenBoard | None] = [None] * len(images)
+    seen: list[SeenBoard | GtcalError | None] = [None] * len(images)
     with all_cores(workers) as pool:
         jobs = {pool.submit(_see, images, index, board, camera): index for index in range(len(images))}
         for done, job in enumerate(as_completed(jobs), start=1):
             seen[jobs[job]] = job.result()
             progress(f"detecting the board in {name}", done, len(images))
+    warning = left_out(name, [view for view in seen if isinstance(view, GtcalError)], len(images))
     views = [
         (stamp, view.corner_ids, view.corners_px)
         for stamp, view in zip(images.stamps_ns.tolist(), seen, strict=True)
-        if view is not None and len(view.corner_ids)
+        if isinstance(view, SeenBoard) and len(view.corner_ids)
     ]
     if not views:
-        _log.warning("%s", _why_none(name, board, camera, [view.n_tags for view in seen if view is not None]))
-    return CameraDetections.from_views(views)
+        _log.warning(
+            "%s", _why_none(name, board, camera, [view.n_tags for view in seen if isinstance(view, SeenBoard)])
+        )
+    return CameraDetections.from_views(views), warning
 
 
 def cached_detect(
@@ -83,20 +99,22 @@ def cached_detect(
     redo: bool = False,
 ) -> CameraDetections:
     """As ``detect``, but what was found is kept in ``.gtcal`` in the recording's folder and taken from there as long
-    as the image files (names, sizes, times of change), the board, the intrinsics and the detector are the same.
+    as the image files (names and contents), the board, the intrinsics and the detector are the same.
 
     redo: detect again all the same. A cache that can't be read is made anew, too. Where the folder can't be written,
     the corners are returned all the same, and a warning of the logger "gtcal" says so.
 
     Raises GtcalError where an image can't be read or isn't of the camera's size."""
     path = _cache_path(recording_dir, camera_name, images, board, camera)
-    cached = None if redo else _read_cache(path)
+    cached = None if redo else _read_cache(path, board)
     if cached is not None:
         progress(f"detecting the board in {camera_name} (kept from before)", len(images), len(images))
         return cached
-    found = detect(images, board, camera, progress=progress, workers=workers)
+    found, warning = _detect(images, board, camera, progress, workers)
+    if warning:
+        _log.warning("%s", warning)
     try:
-        _write_cache(path, found)
+        _write_cache(path, found, warning)
     except GtcalError as error:
         _log.warning("the corners found in %s are not kept for the next time: %s", camera_name, error)
     return found
@@ -108,7 +126,7 @@ def kept_detections(
     """What ``cached_detect`` kept, None where that is nothing or of other images.
 
     Raises GtcalError where an image file is gone."""
-    return _read_cache(_cache_path(recording_dir, camera_name, images, board, camera))
+    return _read_cache(_cache_path(recording_dir, camera_name, images, board, camera), board)
 
 
 def _cache_path(
@@ -119,10 +137,11 @@ def _cache_path(
     return recording_dir / CACHE_FOLDER / f"detections_{safe_name}_{key[:16]}.npz"
 
 
-def _see(images: Images, index: int, board: Board | Lollypop, camera: Camera | None) -> SeenBoard:
-    if isinstance(board, Lollypop):
-        return see_lollypop(images.read(index), board, camera)
-    return see_board(images.read(index), board, camera)
+def _see(images: Images, index: int, board: Board | Lollypop, camera: Camera | None) -> SeenBoard | GtcalError:
+    image = read_if_whole(images, index)
+    if isinstance(image, GtcalError):
+        return image
+    return see_lollypop(image, board, camera) if isinstance(board, Lollypop) else see_board(image, board, camera)
 
 
 def _why_none(name: str, board: Board | Lollypop, camera: Camera | None, n_tags: list[int]) -> str:
@@ -144,7 +163,7 @@ def _why_none(name: str, board: Board | Lollypop, camera: Camera | None, n_tags:
 
 def _cache_key(images: Images, board: Board | Lollypop, camera: Camera | None) -> str:
     """A fingerprint of all that the corners depend on."""
-    files = [(str(path.name), *_size_and_time(path)) for path in images.files]
+    files = [(str(path.name), sha256_of(path)) for path in images.files]
     lens: Any = None
     if camera is not None:
         lens = [camera.model.name, camera.image_width_px, camera.image_height_px]
@@ -168,45 +187,49 @@ def _detector_version() -> str:
     return hashlib.sha256(b"\0".join(sources)).hexdigest()
 
 
-def _size_and_time(path: Path) -> tuple[int, int]:
-    try:
-        status = path.stat()
-    except OSError as error:
-        raise GtcalError(f"{path}: the image can't be read: {error.strerror}") from error
-    return status.st_size, status.st_mtime_ns
-
-
-def _read_cache(path: Path) -> CameraDetections | None:
+def _read_cache(path: Path, board: Board | Lollypop) -> CameraDetections | None:
     """What an earlier run kept, None where there is nothing whole."""
     if not path.is_file():
         return None
     try:
-        with np.load(path, allow_pickle=False) as kept:
-            found = CameraDetections(*(kept[name] for name in _CACHED))
-        _check_whole(found)
+        kept = load_arrays(path, _MOST_CACHE_BYTES)
+        found = CameraDetections(*(kept[name] for name in _CACHED))
+        _check_whole(found, board)
+        warning = str(kept[_WARNING]) if _WARNING in kept else ""
     except Exception as error:  # whatever a damaged file makes numpy and zipfile raise
         _log.warning("%s is damaged (%s); the corners are detected again", path, error)
         return None
+    if warning:
+        _log.warning("%s", warning)
     return found
 
 
+_WARNING = "warning"  # of images that can't be read; not in all
+_MOST_CACHE_BYTES = 512 * MiB
 _CACHED = ("stamps_ns", "view_start", "corner_ids", "corners_px")
 
 
-def _check_whole(found: CameraDetections) -> None:
-    start = found.view_start
+def _check_whole(found: CameraDetections, board: Board | Lollypop) -> None:
+    start, ids = found.view_start, found.corner_ids
     whole = (
-        len(start) == found.n_views + 1
+        all(column.dtype == np.int64 and column.ndim == 1 for column in (found.stamps_ns, start, ids))
+        and found.corners_px.dtype == np.float64
+        and len(start) == found.n_views + 1
         and start[0] == 0
         and start[-1] == found.n_corners
         and bool((np.diff(start) > 0).all())
         and found.corners_px.shape == (found.n_corners, 2)
         and bool(np.isfinite(found.corners_px).all())
+        and bool((np.diff(found.stamps_ns) > 0).all())
+        and bool(((ids >= 0) & (ids < board.n_corners)).all())
     )
     if not whole:
-        raise ValueError("its columns don't fit together")
+        raise ValueError("its columns don't fit together, or the board")
 
 
-def _write_cache(path: Path, found: CameraDetections) -> None:
+def _write_cache(path: Path, found: CameraDetections, warning: str) -> None:
+    columns: dict[str, Any] = {name: getattr(found, name) for name in _CACHED}
+    if warning:
+        columns[_WARNING] = np.array(warning)
     with write_aside(path, binary=True) as file:
-        np.savez(file, **{name: getattr(found, name) for name in _CACHED})
+        np.savez(file, **columns)

@@ -8,13 +8,12 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from gtcal.camera_files.fields import Field
+from gtcal.documents import load_plain_yaml, read_text
 from gtcal.errors import GtcalError
 from gtcal.overview.mocap_files import MOCAP_SUFFIXES, MocapBody, mocap_bodies
 from gtcal.recordings.bag_images import BAG_SUFFIXES, bag_images, image_topics
-from gtcal.recordings.images import IMAGE_SUFFIXES, Images, image_folder, image_list, read_grey, relative
+from gtcal.recordings.images import IMAGE_SUFFIXES, Images, first_whole, image_folder, image_list, read_grey, relative
 from gtcal.recordings.layouts import find_layout, lens_fields
 from gtcal.recordings.manifest import MANIFEST_NAMES
 from gtcal.recordings.video_images import VIDEO_SUFFIXES, video_images
@@ -154,7 +153,7 @@ def _image_camera(folder: Path, images_in: Path) -> FoundCamera:
     except GtcalError as error:
         asked = f"Which CSV 'timestamp [ns],filename' lists these images? ({_without_path(error, images_in)})"
         return FoundCamera(where, _sized(fields, images_in), f"images in {where}", None, {"image_list": asked})
-    size_px = read_grey(images.paths[0]).shape[::-1]
+    size_px = first_whole(images).shape[::-1]
     return FoundCamera(where, {"image_size_px": list(size_px), **fields}, _in_words(images, where, size_px), images)
 
 
@@ -226,7 +225,7 @@ def _cameras_of(folder: Path, path: Path) -> Iterator[FoundCamera]:
 def _packed(
     name: str, where: str, fields: dict[str, Any], images: Images, asked: dict[str, str] | None = None
 ) -> FoundCamera:
-    size_px = images.read(0).shape[::-1]
+    size_px = first_whole(images).shape[::-1]
     fields = {"image_size_px": list(size_px), **fields}
     return FoundCamera(name, fields, _in_words(images, where, size_px), images, asked or {})
 
@@ -265,9 +264,8 @@ def _yaml_block(path: Path) -> dict[str, Any] | None:
     if path.suffix.lower() not in (".yaml", ".yml"):
         return None
     try:
-        text = re.sub(r"\A%YAML:[^\n]*\n(---)?", "", path.read_text(encoding="utf-8-sig"))
-        block = yaml.safe_load(text)
-    except (OSError, UnicodeDecodeError, yaml.YAMLError):
+        block = load_plain_yaml(path, read_text(path))
+    except GtcalError:
         return None
     return block if isinstance(block, dict) else None
 

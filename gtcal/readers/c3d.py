@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from gtcal.errors import GtcalError
+from gtcal.files import TABLE_BYTES, check_regular
 from gtcal.readers.body_trajectory import trajectory_of
 from gtcal.readers.c3d_parameters import DEC, INTEL, MIPS, Parameter, read_parameters
 from gtcal.readers.mocap_take import MocapTake, frame_stamps_ns, metres_per_unit, stated_rate_hz
@@ -70,6 +71,7 @@ def read_c3d_take(path: Path) -> MocapTake:
 
 def _check_length(path: Path) -> None:
     """Raises GtcalError where the file is missing, no C3D, or shorter than its header says."""
+    check_regular(path, TABLE_BYTES)
     try:
         with path.open("rb") as file:
             head = file.read(_BLOCK)

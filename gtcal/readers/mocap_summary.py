@@ -10,6 +10,7 @@ import numpy as np
 
 from gtcal.camera import BoolArray
 from gtcal.errors import GtcalError
+from gtcal.files import check_regular, is_there
 from gtcal.readers import c3d, motive_csv, qualisys_tsv, rosbag, trc, vicon_csv
 from gtcal.readers.euroc_csv import open_euroc_csv
 from gtcal.readers.mocap_take import METRES_PER_UNIT, MocapTake
@@ -85,6 +86,9 @@ class MocapSummary:
 def detect_mocap_format(path: Path) -> str | None:
     """The name in ``TRAJECTORY_READERS`` of the format that a file or a bag's folder has, by its own head; None where
     it is none of them."""
+    if not is_there(path):
+        return None
+    check_regular(path)
     if rosbag.is_rosbag(path) or path.is_dir():
         return rosbag.FORMAT if rosbag.is_rosbag(path) else None
     try:

@@ -17,6 +17,7 @@ import numpy as np
 
 from gtcal.camera import FloatArray
 from gtcal.errors import GtcalError
+from gtcal.files import check_regular
 from gtcal.readers.body_trajectory import listed, trajectory_of
 from gtcal.readers.mocap_take import BodyColumns, MocapTake
 from gtcal.readers.poses import PoseConventions
@@ -66,6 +67,7 @@ def read_rosbag_takes(path: Path) -> dict[str, MocapTake]:
     """Every body of a bag, as a take of its own since each has its own stamps.
 
     Raises GtcalError where the bag can't be read, or a body's messages contradict each other."""
+    check_regular(path)
     if not path.exists():
         raise GtcalError(f"{path}: there is no such file")
     if not is_rosbag(path):

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
+from gtcal.bounds import added
 from gtcal.errors import GtcalError
 from gtcal.readers.mocap_take import RotationKind
 from gtcal.recordings.trajectory import Trajectory
@@ -41,4 +42,5 @@ def refuse_unused(path: Path, body: str, selection: BodySelection, used: set[str
 
 def shifted(trajectory: Trajectory, stamp_offset_ns: int) -> Trajectory:
     """The trajectory with this added to its stamps."""
-    return replace(trajectory, stamps_ns=trajectory.stamps_ns + stamp_offset_ns) if stamp_offset_ns else trajectory
+    stamps_ns = added(f"trajectory {trajectory.body!r}", trajectory.stamps_ns, stamp_offset_ns)
+    return replace(trajectory, stamps_ns=stamps_ns) if stamp_offset_ns else trajectory

@@ -17,6 +17,7 @@ import numpy.typing as npt
 from factors.kernel import kernel
 from gtcal.camera import FloatArray
 from gtcal.errors import GtcalError
+from gtcal.files import TABLE_BYTES, read_bytes
 
 SEPARATORS = (",", ";", "\t")
 _OK, _NO_NUMBER, _TOO_FEW, _TOO_MANY = 0, 1, 2, 3
@@ -151,7 +152,7 @@ def open_export(path: Path) -> TextExport:
 
     Raises GtcalError where the file is missing, unreadable, empty or no text of one byte per character."""
     try:
-        data = path.read_bytes()
+        data = read_bytes(path, TABLE_BYTES)
     except FileNotFoundError:
         raise GtcalError(f"{path}: there is no such file") from None
     except OSError as error:

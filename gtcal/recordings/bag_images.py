@@ -15,7 +15,9 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from gtcal.bounds import added
 from gtcal.errors import GtcalError
+from gtcal.files import check_regular
 from gtcal.recordings.detections import IntArray
 from gtcal.recordings.images import GreyImage, InOneFile, decode_grey, of_size, relative
 
@@ -95,7 +97,9 @@ def bag_images(path: Path, topic: str | None, offset_ns: int = 0) -> BagImages:
     header_ns, received_ns = (np.array([entry[i] for entry in stamps], dtype=np.int64) for i in (0, 1))
     _check_stamps(path, topic, header_ns)
     notes = tuple(_clock_notes(path, topic, header_ns, received_ns))
-    return BagImages(path, header_ns + offset_ns, offset_ns, topic, received_ns, _Readers(path, topic), notes=notes)
+    return BagImages(
+        path, added(str(path), header_ns, offset_ns), offset_ns, topic, received_ns, _Readers(path, topic), notes=notes
+    )
 
 
 def image_topics(path: Path) -> dict[str, int]:
@@ -115,6 +119,7 @@ def opened_bag(path: Path) -> Iterator[AnyReader]:
 
 
 def _reader(path: Path) -> AnyReader:
+    check_regular(path)
     try:
         from rosbags.highlevel import AnyReader
         from rosbags.typesys import Stores, get_typestore

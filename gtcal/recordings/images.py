@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+from collections.abc import Sequence
 from dataclasses import KW_ONLY, dataclass, replace
 from itertools import pairwise
 from pathlib import Path
@@ -13,8 +14,10 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from gtcal.bounds import added
+from gtcal.documents import read_text
 from gtcal.errors import GtcalError
-from gtcal.files import write_text
+from gtcal.files import IMAGE_BYTES, is_there, read_bytes, write_text
 from gtcal.recordings.detections import IntArray
 
 GreyImage = npt.NDArray[np.uint8]
@@ -156,11 +159,53 @@ class InOneFile:
         return {"stamp_offset_ns": self.offset_ns} if self.offset_ns else {}
 
 
+class WrongSizeError(GtcalError):
+    """An image of another size than its camera's, as all of them are where one is."""
+
+
+MOST_UNREADABLE = 0.05
+"""The share of a camera's images that may be unreadable, as recorders leave the last ones: those are left out."""
+
+
+def read_if_whole(images: Images, index: int) -> GreyImage | GtcalError:
+    """One image, or why it can't be read. Raises WrongSizeError where it is of another size."""
+    try:
+        return images.read(index)
+    except WrongSizeError:
+        raise
+    except GtcalError as error:
+        return error
+
+
+def left_out(name: str, why: Sequence[GtcalError], n_images: int) -> str:
+    """What to say of the images that can't be read, nothing where all can.
+
+    Raises GtcalError where those are too many."""
+    if not why:
+        return ""
+    said = f"{len(why)} of {n_images} images of {name} can't be read"
+    if len(why) > MOST_UNREADABLE * n_images:
+        raise GtcalError(f"{why[0]}; {said}, too many to leave out")
+    return f"{said} and are left out; the first: {why[0]}"
+
+
+def first_whole(images: Images) -> GreyImage:
+    """The first image that can be read. Raises GtcalError where too many before it can't."""
+    why: list[GtcalError] = []
+    for index in range(len(images)):
+        image = read_if_whole(images, index)
+        if not isinstance(image, GtcalError):
+            return image
+        why.append(image)
+        left_out("the camera", why, len(images))
+    raise GtcalError("there are no images")
+
+
 def of_size(image: GreyImage, size_px: tuple[int, int] | None, name: str) -> GreyImage:
     """The image. Raises GtcalError with its ``name`` where it is not of the size (width, height) expected."""
     height, width = image.shape
     if size_px is not None and (width, height) != size_px:
-        raise GtcalError(
+        raise WrongSizeError(
             f"{name}: the image is {width} x {height} pixels, but the camera's image size is "
             f"{size_px[0]} x {size_px[1]}; intrinsics hold for one image size only"
         )
@@ -174,7 +219,8 @@ def relative(path: Path, folder: Path) -> str:
 
 def shifted(images: ImageSequence, offset_ns: int) -> ImageSequence:
     """The images with ``offset_ns`` added to their stamps."""
-    return replace(images, stamps_ns=images.stamps_ns + offset_ns) if offset_ns else images
+    stamps_ns = added(str(images.paths[0].parent), images.stamps_ns, offset_ns)
+    return replace(images, stamps_ns=stamps_ns) if offset_ns else images
 
 
 def image_folder(folder: Path) -> ImageSequence:
@@ -220,7 +266,7 @@ def read_grey(path: Path) -> GreyImage:
 
     Raises GtcalError where the file is missing, cut off or no image that OpenCV reads."""
     try:
-        data = path.read_bytes()
+        data = read_bytes(path, IMAGE_BYTES)
     except OSError as error:
         raise GtcalError(f"{path}: the image can't be read: {error.strerror}") from error
     return decode_grey(data, str(path))
@@ -273,8 +319,8 @@ def _check_no_frame_counter(where: Path, stamps_ns: IntArray) -> None:
 def _listed_rows(listing: Path) -> list[tuple[int, str]]:
     """The (time stamp, name) rows of a list, in strict order of time."""
     try:
-        lines = listing.read_text(encoding="utf-8-sig").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
+        lines = read_text(listing).splitlines()
+    except GtcalError as error:
         raise GtcalError(f"{listing}: the list of images can't be read: {error}") from error
     rows: list[tuple[int, str]] = []
     for number, line in enumerate(lines, start=1):
@@ -316,9 +362,9 @@ def _default_folder(listing: Path) -> Path:
 
 def _listed_file(listing: Path, folder: Path, name: str) -> Path:
     path = folder / name
-    if path.is_file():
+    if is_there(path) and path.is_file():
         return path
-    others = [path.with_suffix(suffix) for suffix in IMAGE_SUFFIXES if path.with_suffix(suffix).is_file()]
+    others = [path.with_suffix(suffix) for suffix in IMAGE_SUFFIXES if is_there(path.with_suffix(suffix))]
     if len(others) != 1:
         found = ", ".join(other.name for other in others)
         raise GtcalError(

@@ -13,10 +13,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from gtcal.camera_files.fields import Field
 from gtcal.camera_files.kalibr import lens_of
+from gtcal.documents import load_plain_yaml, read_text
 from gtcal.errors import GtcalError
 from gtcal.recordings.capture import Capture
 from gtcal.recordings.images import IMAGE_SUFFIXES, relative
@@ -72,6 +71,12 @@ def find_layout(folder: Path) -> Layout | None:
         {path.name: path for path in bodies if _BOARD.match(path.name)},
         _lenses(folder, cameras),
     )
+
+
+def lens_files(folder: Path) -> tuple[Path, ...]:
+    """The files in which the layout of a folder states its lenses."""
+    layout = find_layout(folder)
+    return () if layout is None else tuple(dict.fromkeys(file for _, file in layout.lenses.values()))
 
 
 def expanded(path: Path, fields: Mapping[str, Any]) -> dict[str, Any]:
@@ -149,12 +154,7 @@ def _lenses(folder: Path, cameras: dict[str, Path]) -> dict[str, tuple[dict[str,
 
 
 def _yaml_fields(path: Path) -> dict[str, Any]:
-    """OpenCV writes ``%YAML:1.0`` on top, which is none to others."""
-    try:
-        text = re.sub(r"\A%YAML:[^\n]*\n(---)?", "", path.read_text(encoding="utf-8-sig"))
-        found = yaml.safe_load(text)
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise GtcalError(f"{path}: can't be read: {' '.join(str(error).split())}") from None
+    found = load_plain_yaml(path, read_text(path))
     return found if isinstance(found, dict) else {}
 
 

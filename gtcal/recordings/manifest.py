@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
@@ -23,11 +23,13 @@ from pydantic_core import ErrorDetails, PydanticCustomError
 
 from factors import CAMERA_MODELS
 from gtcal.board import board_manifest_schema
+from gtcal.bounds import LARGEST_LENS, LARGEST_SIDE_PX, LARGEST_STAMP_NS
 from gtcal.camera import StampedRow
 from gtcal.camera_files.formats import CAMERA_FILE_READERS
 from gtcal.documents import load_document
 from gtcal.errors import GtcalError
-from gtcal.files import write_text
+from gtcal.files import check_regular, is_there, write_text
+from gtcal.names import fault_of_name, shown
 from gtcal.readers import TRAJECTORY_READERS, BodySelection
 from gtcal.readers.mocap_take import RotationKind
 from gtcal.readers.poses import LengthUnit, PoseConventions, PoseDirection, TimeUnit
@@ -61,6 +63,18 @@ LAYOUT_DESCRIPTION = (
 )
 CaptureName = Annotated[str, *_choice("a capture kind", [kind.value for kind in Capture])]
 CameraFileFormat = Annotated[str, *_choice("a format of camera files", CAMERA_FILE_READERS)]
+
+
+def _named(value: str) -> str:
+    if fault := fault_of_name(value):
+        raise PydanticCustomError("choice", "{message}", {"message": f"the name {fault}; give it another"})
+    return value
+
+
+_Side = Annotated[PositiveInt, Field(le=LARGEST_SIDE_PX)]
+_Parameter = Annotated[float, Field(ge=-LARGEST_LENS, le=LARGEST_LENS)]
+CameraName = Annotated[str, AfterValidator(_named)]
+"""A key of ``cameras``."""
 
 
 # Left out, not null: None is how Python says it, and no value of the manifest.
@@ -124,18 +138,18 @@ class CameraEntry(Entry):
         description="The camera model. Left out where a file of intrinsics says it.",
     )
     image_size_px: Annotated[
-        Annotated[list[PositiveInt], Field(min_length=2, max_length=2)] | None, AfterValidator(_unless_in_a_file)
+        Annotated[list[_Side], Field(min_length=2, max_length=2)] | None, AfterValidator(_unless_in_a_file)
     ] = Field(
         default=None,
         validate_default=True,
         description="Width and height of the images in pixels. Left out where a file of intrinsics says it.",
     )
-    parameters: dict[str, float] | None = Field(
+    parameters: dict[str, _Parameter] | None = Field(
         default=None,
         description="The intrinsic parameters by name (pixels, integer coordinates at pixel centres). "
         "Leave them out where they are to be found from the recording.",
     )
-    parameter_sigmas: dict[str, PositiveFloat] | None = Field(
+    parameter_sigmas: dict[str, Annotated[PositiveFloat, Field(le=LARGEST_LENS)]] | None = Field(
         default=None,
         description="1-sigma of the intrinsic parameters by name, in their units, as far as they are known; for the "
         "others those of a factory's calibration are taken (0.3 % of the focal length, 3 px).",
@@ -164,6 +178,8 @@ class CameraEntry(Entry):
     )
     stamp_offset_ns: int | None = Field(
         default=None,
+        ge=-LARGEST_STAMP_NS,
+        le=LARGEST_STAMP_NS,
         description="Added to the time stamps of the images. Needed for a video, whose stamps count from its first "
         "frame: that frame's time.",
     )
@@ -212,10 +228,16 @@ class TrajectoryEntry(Entry):
         default=None, description="How rotations are written. Needed for Vicon's segments."
     )
     stamp_offset_ns: int = Field(
-        default=0, description="Added to the file's time stamps, which in most exports count from the take's start."
+        default=0,
+        ge=-LARGEST_STAMP_NS,
+        le=LARGEST_STAMP_NS,
+        description="Added to the file's time stamps, which in most exports count from the take's start.",
     )
     rate_hz: float | None = Field(
-        default=None, gt=0, description="Frames a second. Needed where the file numbers frames and states no rate."
+        default=None,
+        gt=0,
+        le=1e6,
+        description="Frames a second. Needed where the file numbers frames and states no rate.",
     )
 
     @property
@@ -241,12 +263,13 @@ class Manifest(Entry):
         description="The board: a preset, or a type and its fields."
     )
     layout: LayoutName | None = Field(default=None, description=LAYOUT_DESCRIPTION)
-    cameras: dict[str, CameraEntry] = Field(min_length=1, description="The cameras by name.")
+    cameras: dict[CameraName, CameraEntry] = Field(min_length=1, description="The cameras by name.")
     platform: TrajectoryEntry | None = Field(default=None, description="The tracked body that carries the cameras.")
     board_body: TrajectoryEntry | None = Field(default=None, description="The tracked body that carries the board.")
     max_gap_ms: float | None = Field(
         default=None,
         gt=0,
+        le=1e9,
         description="Longest gap in a trajectory to interpolate across. Default: 2.5 median sampling intervals of "
         "that trajectory, which bridges one lost sample but not two, and at most 200 ms.",
     )
@@ -280,6 +303,7 @@ def find_manifest(path: Path) -> Path:
     """The manifest at ``path``: the file itself, or the one in this folder.
 
     Raises GtcalError where there is none, or more than one."""
+    check_regular(path)
     if path.is_file():
         return path
     if not path.is_dir():
@@ -301,6 +325,31 @@ def read_manifest(path: Path) -> Manifest:
 
     Raises GtcalError naming the file and the field for the first thing that is wrong."""
     return manifest_of(path, load_fields(path))
+
+
+def named_files(path: Path) -> tuple[Path, ...]:
+    """The manifest at ``path`` and every file and folder that a text in it names, as far as they are there: what a
+    recording is read from, also where something is wrong with it."""
+    manifest = find_manifest(path)
+    try:
+        fields = load_document(manifest)
+        fields = expanded(manifest, fields) if isinstance(fields, dict) else fields
+    except GtcalError:
+        return (manifest,)
+    named = (manifest.parent / text for text in dict.fromkeys(_texts(fields, 0)))
+    return (manifest, *(file for file in named if is_there(file)))
+
+
+_DEEPEST = 10
+"""No field of a manifest lies deeper."""
+
+
+def _texts(value: Any, depth: int) -> Iterator[str]:
+    if isinstance(value, str):
+        yield value
+    elif isinstance(value, dict | list) and depth < _DEEPEST:
+        for part in value.values() if isinstance(value, dict) else value:
+            yield from _texts(part, depth + 1)
 
 
 def manifest_of(path: Path, data: dict[str, Any]) -> Manifest:
@@ -407,7 +456,8 @@ def _explain(error: ValidationError, kind: type[Entry]) -> str:
     """The first error in one line: an unknown field before a missing one, since a misspelt field is both."""
     errors = sorted(error.errors(), key=lambda e: e["type"] != "extra_forbidden")
     first = errors[0]
-    field = ".".join(str(part) for part in first["loc"])
+    parts = [str(part) for part in first["loc"] if part != "[key]"]
+    field = ".".join(shown(part) if fault_of_name(part) else part for part in parts)
     more = f" (and {len(errors) - 1} more)" if len(errors) > 1 else ""
     return f"{field}: {_message(first, kind)}{more}"
 

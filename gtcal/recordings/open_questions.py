@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from gtcal.documents import read_text
 from gtcal.errors import GtcalError
 
 OPEN = "QUESTION"
@@ -40,7 +41,7 @@ def _open_fields(value: Any, where: str = "") -> Iterator[str]:
 
 def _asked(path: Path) -> tuple[str, str]:
     """':line' of the first open field and ': question', as far as the text has them."""
-    lines = path.read_text(encoding="utf-8-sig").splitlines()
+    lines = read_text(path).splitlines()
     at = next((index for index, line in enumerate(lines) if _OPEN_LINE.match(line)), None)
     if at is None:
         return "", ""

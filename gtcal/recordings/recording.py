@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -13,14 +14,16 @@ from gtcal.board import Board, board_from_manifest
 from gtcal.camera import Camera, FloatArray, RollingShutter
 from gtcal.camera_files.formats import read_rig
 from gtcal.camera_files.rig import ReadOptions, Rig, RigCamera, agreeing
+from gtcal.camera_files.ros import plain_name
 from gtcal.errors import GtcalError
-from gtcal.files import InputFile, fingerprint
+from gtcal.files import InputFile, check_regular, fingerprint
 from gtcal.readers import TRAJECTORY_READERS, write_euroc_csv
 from gtcal.recordings.bag_images import bag_images
 from gtcal.recordings.capture import Capture, RefMotion
 from gtcal.recordings.detection_files import read_detections, write_detections
 from gtcal.recordings.detections import CameraDetections, Cornered
-from gtcal.recordings.images import Images, image_folder, image_list, shifted
+from gtcal.recordings.images import Images, first_whole, image_folder, image_list, shifted
+from gtcal.recordings.layouts import lens_files
 from gtcal.recordings.manifest import (
     MANIFEST_NAMES,
     CameraEntry,
@@ -94,6 +97,11 @@ class Recording:
         """What was done to read it, one sentence each, for the user to see."""
         return notes_of(self.images, self.motion.trajectories)
 
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """Every file that it is read from, the images too."""
+        return files_of(self.inputs, self.images)
+
 
 def load_recording(path: Path | str) -> Recording:
     """Read the recording in the folder (or with the manifest file) ``path``. Images are listed, not searched for
@@ -106,7 +114,7 @@ def load_recording(path: Path | str) -> Recording:
 
 def recording_of(manifest_path: Path, manifest: Manifest) -> Recording:
     """What a manifest at this path describes. Raises GtcalError as ``load_recording``."""
-    loader = Loader(manifest_path)
+    loader = Loader(manifest_path, manifest.layout)
     board = loader.board(manifest.board)
     cameras = {name: loader.camera(name, entry) for name, entry in manifest.cameras.items()}
     detections = {
@@ -166,9 +174,9 @@ def write_recording(recording: Recording, folder: Path | str) -> Path:
 class Loader:
     """Reads what a manifest points to, and remembers which files those were."""
 
-    def __init__(self, manifest_path: Path) -> None:
+    def __init__(self, manifest_path: Path, layout: str | None = None) -> None:
         self.manifest_path = manifest_path
-        self.used = [manifest_path]
+        self.used = [manifest_path, *(lens_files(manifest_path.parent) if layout is not None else ())]
 
     def board(self, block: dict[str, object]) -> Board:
         try:
@@ -221,11 +229,12 @@ class Loader:
         """The camera that the manifest names, else that of its own name, else the only one."""
         named = {camera.name: camera for camera in rig.cameras}
         listed = ", ".join(named)
-        if intrinsics.camera is not None and intrinsics.camera not in named:
+        asked = None if intrinsics.camera is None else plain_name(intrinsics.camera)
+        if asked is not None and asked not in named:
             raise GtcalError(f"there is no camera {intrinsics.camera!r} in {intrinsics.file}; cameras: {listed}")
         if intrinsics.camera is None and name not in named and len(named) > 1:
             raise GtcalError(f"{intrinsics.file} holds several cameras; name one with 'camera': {listed}")
-        return named.get(intrinsics.camera or name) or next(iter(named.values()))
+        return named.get(asked or name) or next(iter(named.values()))
 
     def _use(self, path: Path) -> None:
         """Remember a file, once."""
@@ -239,7 +248,7 @@ class Loader:
 
     def images(self, name: str, entry: CameraEntry, camera: Camera) -> Images:
         images = self._images(f"cameras.{name}", entry).expecting(camera.image_width_px, camera.image_height_px)
-        images.read(0)
+        first_whole(images)
         return images
 
     def _images(self, where: str, entry: CameraEntry) -> Images:
@@ -280,6 +289,10 @@ class Loader:
 
     def _existing(self, where: str, given: str) -> Path:
         path = self.manifest_path.parent / given
+        try:
+            check_regular(path)
+        except GtcalError as error:
+            raise self.error(where, str(error)) from None
         if not path.exists():
             raise self.error(where, f"there is no {path}")
         return path
@@ -320,6 +333,11 @@ class Loader:
     def error(self, where: str, message: str) -> GtcalError:
         """An error about a field of the manifest."""
         return GtcalError(f"{self.manifest_path}: {where}: {message}")
+
+
+def files_of(inputs: Iterable[InputFile], images: dict[str, Images]) -> tuple[Path, ...]:
+    """The files that were read, and those of the images."""
+    return (*(entry.path for entry in inputs), *(file for sequence in images.values() for file in sequence.files))
 
 
 def notes_of(images: dict[str, Images], trajectories: dict[str, Trajectory]) -> tuple[str, ...]:

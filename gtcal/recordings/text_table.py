@@ -14,6 +14,7 @@ import numpy.typing as npt
 
 from gtcal.camera import FloatArray
 from gtcal.errors import GtcalError
+from gtcal.files import TABLE_BYTES, check_regular
 from gtcal.recordings.detections import IntArray
 
 Kind = Literal["stamp", "integer", "number", "ignored"]
@@ -183,6 +184,7 @@ def open_table(path: Path, separator: str | None) -> TextTable:
 def _open(path: Path) -> IO[str]:
     """Open for reading. Bytes that are no UTF-8 become a character that no number holds, so that the row they
     stand in is named."""
+    check_regular(path, TABLE_BYTES)
     try:
         return path.open(encoding="utf-8-sig", errors="replace")
     except FileNotFoundError:

@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
+from gtcal.bounds import LARGEST_LENGTH_M
 from gtcal.camera import BoolArray, FloatArray
 from gtcal.errors import GtcalError
 from gtcal.recordings.detections import IntArray
@@ -73,6 +74,8 @@ class Trajectory:
             raise GtcalError(f"trajectory {self.body!r} has no poses")
         if not np.isfinite(self.world_T_body).all():
             raise GtcalError(f"trajectory {self.body!r} has NaN or infinite values")
+        if (farthest_m := float(np.abs(self.world_T_body[:, :3, 3]).max())) > LARGEST_LENGTH_M:
+            raise GtcalError(f"trajectory {self.body!r}: a position is {farthest_m:.3g} m from zero; check the unit")
         if (np.diff(self.stamps_ns) <= 0).any():
             raise GtcalError(f"trajectory {self.body!r}: time stamps must increase from sample to sample")
 

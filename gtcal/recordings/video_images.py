@@ -18,8 +18,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from gtcal.bounds import added
 from gtcal.cores import n_cores
 from gtcal.errors import GtcalError
+from gtcal.files import check_regular
 from gtcal.recordings.detections import IntArray
 from gtcal.recordings.images import GreyImage, InOneFile, of_size, relative
 
@@ -79,7 +81,7 @@ def video_images(path: Path, offset_ns: int, stream: str | None = None) -> Video
     decoder = _Decoder(path, index, pts)
     first = decoder.look(0)
     notes = (*_notes(path, stamps_ns, first), *_depth_notes(path, first))
-    return VideoImages(path, stamps_ns + offset_ns, offset_ns, index, decoder, notes=notes)
+    return VideoImages(path, added(str(path), stamps_ns, offset_ns), offset_ns, index, decoder, notes=notes)
 
 
 def _av() -> Any:
@@ -91,6 +93,7 @@ def _av() -> Any:
 
 
 def _opened(path: Path) -> InputContainer:
+    check_regular(path)
     library = _av()
     try:
         container: InputContainer = library.open(str(path))

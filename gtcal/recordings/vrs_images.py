@@ -16,7 +16,9 @@ from typing import Any
 import cv2
 import numpy as np
 
+from gtcal.bounds import added
 from gtcal.errors import GtcalError
+from gtcal.files import check_regular
 from gtcal.recordings.detections import IntArray
 from gtcal.recordings.images import GreyImage, InOneFile, of_size, relative
 
@@ -73,7 +75,7 @@ def vrs_images(path: Path, stream: str | None, offset_ns: int = 0) -> VrsImages:
     same = np.flatnonzero(np.diff(stamps_ns[order]) == 0)
     if len(same):
         raise GtcalError(f"{path}: two images of stream {stream} have the time stamp {stamps_ns[order][same[0]]} ns")
-    stamps_ns = stamps_ns[order] + offset_ns
+    stamps_ns = added(str(path), stamps_ns[order], offset_ns)
     return VrsImages(path, stamps_ns, offset_ns, stream, order, _Readers(path, stream), notes=notes)
 
 
@@ -83,6 +85,7 @@ def image_streams(path: Path) -> dict[str, int]:
 
 
 def _reader(path: Path) -> Any:
+    check_regular(path)
     try:
         from pyvrs import SyncVRSReader
     except ImportError:
@@ -97,6 +100,7 @@ def _reader(path: Path) -> Any:
 def _check_whole(path: Path) -> None:
     """The library makes do with what is left of a file. Its header says where the index is: at the end, once the
     recording is closed."""
+    check_regular(path)
     with path.open("rb") as file:
         (index_offset,) = struct.unpack_from("<q", file.read(32), 24)
     chunks = (path, *path.parent.glob(f"{glob.escape(path.name)}_*"))

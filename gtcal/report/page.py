@@ -10,6 +10,7 @@ from markupsafe import Markup
 
 from gtcal.errors import GtcalError
 from gtcal.files import write_text
+from gtcal.plain import printable
 from gtcal.progress import Progress, silent
 from gtcal.report.calibration_part import calibration_part
 from gtcal.report.evidence import Evidence
@@ -73,9 +74,15 @@ def _environment() -> Environment:
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
+        finalize=_shown,
     )
     environment.filters["number"] = _number
     return environment
+
+
+def _shown(value: object) -> object:
+    """What is put into the page, before it is escaped."""
+    return value if hasattr(value, "__html__") else printable(str(value))
 
 
 def _own_text(environment: Environment, name: str) -> Markup:

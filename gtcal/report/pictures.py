@@ -17,6 +17,7 @@ from PIL import Image
 
 from gtcal.errors import GtcalError
 from gtcal.files import write_aside
+from gtcal.plain import xml_text
 
 INK, MUTED, FAINT, PAPER = "#1c2733", "#5c6875", "#d5dae0", "#ffffff"
 BLUE, VERMILION, GREEN, ORANGE = "#0072b2", "#d55e00", "#009e73", "#e69f00"
@@ -56,6 +57,7 @@ _STYLE: Any = {
     "lines.linewidth": 1.4,
     "svg.fonttype": "none",
     "svg.hashsalt": "gtcal",
+    "text.parse_math": False,  # a camera may have $ in its name
 }
 
 
@@ -111,7 +113,7 @@ def data_uri(kind: str, content: bytes) -> str:
 def _svg(figure: Figure) -> bytes:
     file = io.BytesIO()
     figure.savefig(file, format="svg", metadata={"Date": None, "Creator": None})
-    return file.getvalue()
+    return xml_text(file.getvalue())
 
 
 def _png(figure: Figure, colours: int = _PNG_COLOURS) -> bytes:

@@ -16,10 +16,12 @@ from typing import Any, TypeVar
 import numpy as np
 
 from factors import CAMERA_MODELS
+from gtcal.bounds import LARGEST_LENS, LARGEST_SIDE_PX
 from gtcal.camera import Camera, FloatArray, RollingShutter
 from gtcal.estimation.estimate import Estimate
 from gtcal.estimation.observations import Dropped
 from gtcal.files import InputFile, write_text
+from gtcal.names import named
 from gtcal.recordings.capture import Capture
 from gtcal.recordings.trajectory import quaternions_from_poses
 from gtcal.results.calibration import (
@@ -169,7 +171,7 @@ def _without_nan(fields: dict[str, Any]) -> dict[str, Any]:
 def _calibration(document: Mapping[str, Any]) -> Calibration:
     return Calibration(
         capture=Capture(document["capture"]),
-        cameras={name: _camera(name, block) for name, block in document["cameras"].items()},
+        cameras={named(name): _camera(name, block) for name, block in document["cameras"].items()},
         body_T_board=_pose(document["body_T_board"]),
         board=document["board"],
         sigma_px=float(document["sigma_px"]),
@@ -192,6 +194,10 @@ def _camera(name: str, block: Mapping[str, Any]) -> CameraCalibration:
         raise ValueError(f"cameras.{name}.model {block['model']!r}; choose from {', '.join(CAMERA_MODELS)}")
     model, (width_px, height_px) = CAMERA_MODELS[block["model"]], block["image_size_px"]
     theta = np.array([block["parameters"][parameter] for parameter in model.parameter_names], dtype=np.float64)
+    if not all(isinstance(side, int) and 0 < side <= LARGEST_SIDE_PX for side in (width_px, height_px)):
+        raise ValueError(f"cameras.{name}.image_size_px {block['image_size_px']!r}")
+    if not (np.abs(theta) <= LARGEST_LENS).all():
+        raise ValueError(f"cameras.{name}.parameters hold a number beyond any lens, or none")
     return CameraCalibration(
         camera=Camera(name, model, theta, width_px, height_px, _shutter(block["rolling_shutter"])),
         camera_T_ref=_pose(block["camera_T_ref"]),

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar
 
+from gtcal.documents import check_extent, read_text
 from gtcal.errors import GtcalError
 
 T = TypeVar("T")
@@ -18,6 +19,7 @@ def read_result(path: Path, kind: str, schema_version: int, parse: Callable[[dic
     Raises GtcalError for a file that is missing, no JSON, of a newer schema, or where ``parse`` misses a field or finds
     one of the wrong form."""
     document = _read_json(path)
+    check_extent(path, document)
     version = document.get(f"gtcal_{kind}") if isinstance(document, dict) else None
     if not isinstance(version, int):
         raise GtcalError(f"{path}: is no {kind} of gtcal: the field 'gtcal_{kind}' is missing")
@@ -25,18 +27,18 @@ def read_result(path: Path, kind: str, schema_version: int, parse: Callable[[dic
         raise GtcalError(f"{path}: has {kind} schema {version}, this gtcal reads up to {schema_version}; update gtcal")
     try:
         return parse(document)
+    except GtcalError as error:
+        raise GtcalError(f"{path}: {error}") from None
     except KeyError as error:
         raise GtcalError(f"{path}: the field {error.args[0]!r} is missing") from error
-    except (TypeError, ValueError, AttributeError) as error:
+    except (TypeError, ValueError, AttributeError, LookupError, ArithmeticError, RecursionError) as error:
         raise GtcalError(f"{path}: a field has the wrong form: {error}") from error
 
 
 def _read_json(path: Path) -> Any:
     try:
-        return json.loads(path.read_text(encoding="utf-8"), parse_constant=_refuse)
-    except OSError as error:
-        raise GtcalError(f"{path}: can't be read: {error.strerror}") from error
-    except ValueError as error:
+        return json.loads(read_text(path), parse_constant=_refuse)
+    except (ValueError, RecursionError) as error:
         raise GtcalError(f"{path}: is not valid JSON: {error}") from error
 
 

@@ -10,8 +10,9 @@ import numpy as np
 
 from factors import CAMERA_MODELS
 from gtcal.camera import Camera
+from gtcal.documents import read_text
 from gtcal.errors import GtcalError
-from gtcal.files import write_text
+from gtcal.files import is_there, write_text
 from gtcal.simulation.truth import CameraTruth, GroundTruth
 
 GROUND_TRUTH_NAME = "ground_truth.json"
@@ -54,11 +55,11 @@ def read_ground_truth(folder: Path | str) -> GroundTruth:
 
     Raises GtcalError where there is none, or it is not of this version."""
     path = Path(folder) / GROUND_TRUTH_NAME
+    if not is_there(path):
+        raise GtcalError(f"{path}: can't be read: No such file or directory; only simulated recordings have one")
     try:
-        document = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise GtcalError(f"{path}: can't be read: {error.strerror}; only simulated recordings have one") from error
-    except ValueError as error:
+        document = json.loads(read_text(path))
+    except (ValueError, RecursionError) as error:
         raise GtcalError(f"{path}: is not valid JSON: {error}") from error
     if not isinstance(document, dict) or document.get("gtcal_ground_truth") != _VERSION:
         raise GtcalError(f"{path}: is no ground truth of version {_VERSION}; simulate the recording again")
@@ -66,7 +67,7 @@ def read_ground_truth(folder: Path | str) -> GroundTruth:
         ref_T_body = np.array(document["ref_T_body"])
         cameras = {name: _camera_truth(name, block, ref_T_body) for name, block in document["cameras"].items()}
         return GroundTruth(cameras, np.array(document["body_T_board"]))
-    except (KeyError, TypeError, ValueError) as error:
+    except (LookupError, TypeError, ValueError, AttributeError, RecursionError, ArithmeticError) as error:
         raise GtcalError(f"{path}: is damaged ({error}); simulate the recording again") from error
 
 

@@ -16,6 +16,7 @@ from scipy import special
 from gtcal.camera import FloatArray
 from gtcal.errors import GtcalError
 from gtcal.files import InputFile, write_text
+from gtcal.plain import csv_cell
 from gtcal.progress import Progress, silent
 from gtcal.results.calibration import Calibration, Provenance
 from gtcal.verification.lollypop_recording import LollypopRecording
@@ -170,7 +171,9 @@ def write_drift_csv(path: Path, drift: Drift) -> None:
             px, mm = camera.px, camera.mm
             numbers = (px.rmse, px.rmse_low, px.rmse_high, px.p95, px.worst, mm.rmse, mm.rmse_low, mm.rmse_high)
             row = (f"{x:.6g}" if np.isfinite(x) else "" for x in numbers)
-            writer.writerow([name, camera.camera, str(camera.verdict), camera.n_sightings, *row, finding])
+            writer.writerow(
+                [csv_cell(name), csv_cell(camera.camera), str(camera.verdict), camera.n_sightings, *row, finding]
+            )
     write_text(path, text.getvalue())
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -9,6 +10,7 @@ import numpy as np
 
 from gtcal.errors import GtcalError
 from gtcal.files import write_aside
+from gtcal.plain import xml_text
 from gtcal.verification.drift import Drift
 
 if TYPE_CHECKING:
@@ -26,6 +28,15 @@ def draw_drift(path: Path, drift: Drift) -> None:
     Raises GtcalError for another suffix, or where it can't be written."""
     if path.suffix.lower() not in FIGURE_SUFFIXES:
         raise GtcalError(f"{path}: a figure is {', '.join(FIGURE_SUFFIXES)}, not {path.suffix or 'without a suffix'}")
+    from matplotlib import rc_context
+
+    with rc_context({"text.parse_math": False}):  # a camera may have $ in its name
+        content = _drawn(drift, path.suffix.lower()[1:])
+    with write_aside(path, binary=True) as file:
+        file.write(content)
+
+
+def _drawn(drift: Drift, kind: str) -> bytes:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -36,8 +47,9 @@ def draw_drift(path: Path, drift: Drift) -> None:
     _panel(lower, drift, "mm", drift.options.max_rmse_mm)
     lower.set_xticks(range(len(drift.names)), drift.names, rotation=30, ha="right")
     upper.legend(ncols=2, fontsize="small")
-    with write_aside(path, binary=True) as file:
-        figure.savefig(file, format=path.suffix.lower()[1:], dpi=150)
+    file = io.BytesIO()
+    figure.savefig(file, format=kind, dpi=150)
+    return xml_text(file.getvalue()) if kind == "svg" else file.getvalue()
 
 
 def _panel(axes: Axes, drift: Drift, unit: Literal["px", "mm"], limit: float) -> None:

@@ -273,7 +273,7 @@ def _preset(given: dict[str, Any]) -> Lollypop:
     name = given.pop("preset")
     if given:
         raise GtcalError(f"'device' has a preset and also {', '.join(given)}; a preset stands alone")
-    if name not in DEVICE_PRESETS:
+    if name not in list(DEVICE_PRESETS):  # it may be a list, which has no hash
         raise GtcalError(f"device preset {name!r} is not known; presets: {', '.join(DEVICE_PRESETS)}")
     return DEVICE_PRESETS[name]
 

@@ -8,11 +8,11 @@ from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-import yaml
 from pydantic import Field, WithJsonSchema
 
 from gtcal.camera import Camera
 from gtcal.detection.detect import cached_detect
+from gtcal.documents import load_plain_yaml, read_text
 from gtcal.errors import GtcalError
 from gtcal.files import InputFile, fingerprint
 from gtcal.progress import Progress, silent
@@ -25,6 +25,7 @@ from gtcal.recordings.manifest import (
     LAYOUT_DESCRIPTION,
     MANIFEST_NAMES,
     CameraEntry,
+    CameraName,
     CaptureName,
     Entry,
     LayoutName,
@@ -36,7 +37,7 @@ from gtcal.recordings.manifest import (
     validated,
     write_manifest,
 )
-from gtcal.recordings.recording import Loader, camera_entry, detections_name, notes_of
+from gtcal.recordings.recording import Loader, camera_entry, detections_name, files_of, notes_of
 from gtcal.recordings.trajectory import Trajectory
 from gtcal.verification.lollypop import Lollypop, device_from_manifest, device_manifest_schema
 
@@ -55,11 +56,14 @@ class LollypopManifest(Entry):
         description="The Lollypop: a preset, or its tag and markers, or the name of a file that says this."
     )
     layout: LayoutName | None = Field(default=None, description=LAYOUT_DESCRIPTION)
-    cameras: dict[str, CameraEntry] = Field(min_length=1, description="The cameras by name.")
+    cameras: dict[CameraName, CameraEntry] = Field(min_length=1, description="The cameras by name.")
     platform: TrajectoryEntry | None = Field(default=None, description="The tracked body that carries the cameras.")
     device_body: TrajectoryEntry = Field(description="The tracked body of the Lollypop.")
     max_gap_ms: float | None = Field(
-        default=None, gt=0, description="Longest gap in a trajectory to interpolate across; by default as for boards."
+        default=None,
+        gt=0,
+        le=1e9,
+        description="Longest gap in a trajectory to interpolate across; by default as for boards.",
     )
 
     @property
@@ -124,6 +128,11 @@ class LollypopRecording:
         )
         return notes_of(self.images, trajectories)
 
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """Every file that it is read from, the images too."""
+        return files_of(self.inputs, self.images)
+
 
 def load_lollypop_recording(path: Path | str) -> LollypopRecording:
     """Read the recording in the folder (or with the manifest file) ``path``. Images are listed, not searched.
@@ -131,7 +140,7 @@ def load_lollypop_recording(path: Path | str) -> LollypopRecording:
     Raises GtcalError, in one line that names the file and the field or row, for anything that is wrong with it."""
     manifest_path = find_manifest(Path(path))
     manifest = _read_manifest(manifest_path)
-    loader = Loader(manifest_path)
+    loader = Loader(manifest_path, manifest.layout)
     device = _device(loader, manifest.device)
     cameras = {name: loader.camera(name, entry) for name, entry in manifest.cameras.items()}
     trajectories = {name: loader.trajectory(name, entry) for name, entry in manifest.bodies.items()}
@@ -258,12 +267,10 @@ def read_device(path: Path) -> Lollypop:
     """The device that a file describes, YAML or JSON: a device block by itself, or within a manifest.
 
     Raises GtcalError where the file can't be read or describes none."""
+    text = read_text(path)
     try:
-        text = path.read_text(encoding="utf-8-sig")
-        block = json.loads(text) if path.suffix.lower() == ".json" else yaml.safe_load(text)
-    except OSError as error:
-        raise GtcalError(f"{path}: can't be read: {error.strerror}") from error
-    except (ValueError, yaml.YAMLError) as error:
+        block = json.loads(text) if path.suffix.lower() == ".json" else load_plain_yaml(path, text)
+    except (ValueError, RecursionError) as error:
         raise GtcalError(f"{path}: is not valid YAML or JSON: {' '.join(str(error).split())}") from error
     inner = block["device"] if isinstance(block, dict) and "device" in block else block
     try:

@@ -4,6 +4,8 @@ The single sightings have a CSV of their own."""
 
 from __future__ import annotations
 
+import csv
+import io
 import json
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
@@ -14,6 +16,8 @@ from typing import Any
 import numpy as np
 
 from gtcal.files import InputFile, write_aside, write_text
+from gtcal.names import named
+from gtcal.plain import csv_cell
 from gtcal.results.calibration import Provenance
 from gtcal.results.result_file import read_result
 from gtcal.verification.lollypop import Lollypop, device_from_manifest
@@ -85,8 +89,11 @@ def write_sightings(path: Path, verification: Verification) -> None:
                     np.rad2deg(seen.field_angle_rad),
                 ]
             ).tolist()
+            quoted = io.StringIO()
+            csv.writer(quoted, lineterminator="").writerow([csv_cell(name)])
+            camera = quoted.getvalue()
             rows = zip(seen.stamps_ns.tolist(), seen.face_index.tolist(), numbers, strict=True)
-            file.writelines(f"{t},{name},{face},{','.join(f'{x:.6f}' for x in row)}\n" for t, face, row in rows)
+            file.writelines(f"{t},{camera},{face},{','.join(f'{x:.6f}' for x in row)}\n" for t, face, row in rows)
 
 
 def _plain(value: Any) -> Any:
@@ -113,7 +120,7 @@ def _verification(document: Mapping[str, Any]) -> Verification:
     return Verification(
         verdict=Verdict(document["verdict"]),
         reasons=tuple(document["reasons"]),
-        cameras={name: _camera(block) for name, block in document["cameras"].items()},
+        cameras={named(name): _camera(block) for name, block in document["cameras"].items()},
         pooled_px=_statistics(document["pooled_px"]),
         pooled_mm=_statistics(document["pooled_mm"]),
         triangulation=_triangulation(document["triangulation"]),

@@ -1,0 +1,408 @@
+"""Spoilt files for every reader: what is not told in one line, takes more than 2 s, or more than 1 GiB.
+
+    python scripts/fuzz.py --inputs 20000 --seed 1
+
+Good files of every kind that gtcal reads are written, spoilt at random (the same for the same seed), and read. A reader
+may take a file or refuse it with a GtcalError; anything else is counted and shown, with the number of the input, which
+``--only`` reads again, alone. It runs on all cores, in processes of their own, so that none takes the others down.
+"""
+
+from __future__ import annotations
+
+import logging
+import multiprocessing
+import os
+import random
+import re
+import resource
+import signal
+import sys
+import tempfile
+import time
+import traceback
+import warnings
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Annotated
+
+import cv2
+import numpy as np
+import tyro
+
+sys.path.append(str(Path(__file__).parents[1] / "tests"))
+from mocap_files import CUBE_M, from_zero, markers_of, write_motive, write_qualisys, write_trc, write_vicon
+from support import wandering_trajectory
+
+from gtcal.board import load_board
+from gtcal.camera_files.export import calibration_rig
+from gtcal.camera_files.formats import CAMERA_FILE_WRITERS, FOLDER_FORMATS, read_rig, write_rig
+from gtcal.cores import n_cores
+from gtcal.detection.detect import _read_cache, _write_cache
+from gtcal.errors import GtcalError
+from gtcal.estimation.priors_file import read_priors
+from gtcal.readers import TRAJECTORY_READERS, BodySelection, inspect_mocap, write_euroc_csv, write_tum
+from gtcal.readers.poses import PoseConventions
+from gtcal.recordings.images import image_folder, image_list, read_grey
+from gtcal.recordings.manifest import named_files
+from gtcal.recordings.recording import load_recording
+from gtcal.results.calibration_file import read_calibration, write_calibration
+from gtcal.simulation import SimulationOptions, quest3_like_rig, simulate, write_simulation
+from gtcal.simulation.ground_truth import read_ground_truth
+from gtcal.simulation.lollypop import LollypopOptions, exact_calibration, simulate_lollypop, write_lollypop_simulation
+from gtcal.verification.lollypop_recording import load_lollypop_recording, read_device
+from gtcal.verification.verification_file import read_verification, write_verification
+from gtcal.verification.workflow import verify
+
+SLOW_S, LARGE_BYTES = 2.0, 2**30
+_HANGS_S = 30
+_CHUNK = 250
+
+
+@dataclass(frozen=True)
+class Target:
+    """A file that is spoilt, and what reads it then."""
+
+    name: str
+    file: Path
+    read: Callable[[], object]
+
+
+@dataclass(frozen=True)
+class Failed:
+    """What an input did that it must not."""
+
+    number: int
+    target: str
+    kind: str
+    what: str
+
+
+class _HangsError(BaseException):
+    """It takes so long that waiting for it is no use."""
+
+
+def main(
+    inputs: int = 20_000, seed: int = 0, only: Annotated[int | None, tyro.conf.arg(help="This input alone.")] = None
+) -> int:
+    """Spoil so many files, and say what was wrong. Exits with 1 where something was."""
+    numbers = range(inputs) if only is None else range(only, only + 1)
+    started = time.perf_counter()
+    failed, most_s, most_bytes = run(numbers, seed, workers=1 if only is not None else n_cores())
+    for (target, kind, what), count in Counter((f.target, f.kind, f.what) for f in failed).most_common():
+        first = next(f.number for f in failed if (f.target, f.kind, f.what) == (target, kind, what))
+        print(f"{count:6} x {target}: {kind}: {what} (the first: --only {first})")
+    kinds = Counter(f.kind for f in failed)
+    print(
+        f"{len(numbers)} inputs of seed {seed} in {time.perf_counter() - started:.0f} s: {kinds['uncaught']} uncaught, "
+        f"{kinds['slow']} over {SLOW_S:g} s (longest {most_s:.2f} s), {kinds['large']} over 1 GiB (most "
+        f"{most_bytes / 2**20:.0f} MiB), {kinds['crash']} crashes"
+    )
+    return 1 if failed else 0
+
+
+def run(numbers: range, seed: int, *, workers: int) -> tuple[list[Failed], float, int]:
+    """What failed, the longest time of one input, and the most memory that a process took on."""
+    chunks = [numbers[i : i + _CHUNK] for i in range(0, len(numbers), _CHUNK)]
+    failed: list[Failed] = []
+    most_s, most_bytes = 0.0, 0
+    with tempfile.TemporaryDirectory() as folder:
+        base = Path(folder)
+        # spawned: none inherits the others' memory
+        context = multiprocessing.get_context("spawn")
+        waiting, running = list(enumerate(chunks)), []
+        while waiting or running:
+            while waiting and len(running) < workers:
+                place, chunk = waiting.pop(0)
+                ours, theirs = context.Pipe(duplex=False)
+                process = context.Process(target=_run_chunk, args=(base / str(place), chunk, seed, theirs))
+                process.start()
+                theirs.close()
+                running.append((process, ours, chunk))
+            process, pipe, chunk = running.pop(0)
+            at = None
+            try:
+                while True:
+                    message = pipe.recv()
+                    if isinstance(message, int):
+                        at = message
+                    elif isinstance(message, Failed):
+                        failed.append(message)
+                    else:
+                        most_s, most_bytes = max(most_s, message[0]), max(most_bytes, message[1])
+            except EOFError:
+                process.join()
+            if at is None:
+                raise RuntimeError("the good files can't be made or read; see above")
+            if process.exitcode:
+                failed.append(Failed(at, "?", "crash", f"exit code {process.exitcode}"))
+                rest = range(at + 1, chunk[-1] + 1)
+                if len(rest):
+                    waiting.append((len(chunks) + len(failed), rest))
+    return failed, most_s, most_bytes
+
+
+def _run_chunk(folder: Path, numbers: range, seed: int, pipe: multiprocessing.connection.Connection) -> None:
+    """Spoil and read these inputs. Through the pipe go the number before each, what failed, and time and memory."""
+    logging.disable()
+    warnings.simplefilter("ignore")
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+    folder.mkdir()
+    targets = good_files(folder)
+    for target in targets:
+        target.read()  # as it is, it can be read
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 2)  # libraries of images say there what they think of them
+    resource.setrlimit(resource.RLIMIT_AS, (_virtual_bytes() + LARGE_BYTES + 2**28,) * 2)
+    signal.signal(signal.SIGALRM, _hang)
+    before, most_s = _resident_bytes(), 0.0
+    for number in numbers:
+        pipe.send(number)
+        failures, seconds = spoil_and_read(number, seed, targets)
+        most_s = max(most_s, seconds)
+        for failure in failures:
+            pipe.send(failure)
+    pipe.send((most_s, max(0, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 - before)))
+
+
+def spoil_and_read(number: int, seed: int, targets: list[Target]) -> tuple[list[Failed], float]:
+    """One input: what failed, and the seconds it took."""
+    randomness = random.Random(f"{seed}:{number}")
+    target = randomness.choice(targets)
+    good = target.file.read_bytes()
+    target.file.write_bytes(spoilt(good, randomness))
+    started, failed = time.process_time(), []
+    try:
+        signal.alarm(_HANGS_S)
+        target.read()
+    except GtcalError as error:
+        if "\n" in str(error) and "\n" not in str(target.file):
+            failed.append(Failed(number, target.name, "uncaught", "a message of several lines"))
+    except _HangsError:
+        failed.append(Failed(number, target.name, "slow", f"over {_HANGS_S} s"))
+    except MemoryError as error:
+        failed.append(Failed(number, target.name, "large", _where(error)))
+    except Exception as error:
+        failed.append(Failed(number, target.name, "uncaught", _where(error)))
+    finally:
+        signal.alarm(0)
+        target.file.write_bytes(good)
+    seconds = time.process_time() - started  # of its own: others may use the machine
+    if seconds > SLOW_S and not failed:
+        failed.append(Failed(number, target.name, "slow", "over 2 s"))
+    return failed, seconds
+
+
+def _hang(*_: object) -> None:
+    raise _HangsError
+
+
+def _where(error: BaseException) -> str:
+    """The kind of an error, and the last line of gtcal's on its way."""
+    frames = [frame for frame in traceback.extract_tb(error.__traceback__) if "/gtcal/" in frame.filename]
+    last = frames[-1] if frames else traceback.extract_tb(error.__traceback__)[-1]
+    return f"{type(error).__name__} at {Path(last.filename).name}:{last.lineno}: {' '.join(str(error).split())[:80]}"
+
+
+def _virtual_bytes() -> int:
+    return int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+
+
+def _resident_bytes() -> int:
+    return int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize()
+
+
+# Spoiling
+
+_TOKENS = [
+    *b"1e308 -1e308 1e19 0 -1 1 nan .nan inf .inf -.inf NaN Infinity 1e-320 99999999999999999999999 0x7fffffff".split(),
+    *b'true null ~ "" [] {} [[1]] *a &a &a[*a] ../../x /dev/zero . [[[[[[[[ {{{{ - : , ; " # \''.split(),
+    *(b"\xff\xfe", b"\x00", b"\x1b[31m", b"\xe2\x80\xa8", b"\n\n", b" ", b"\t", b"9" * 400, b"[" * 2000, b"x" * 5000),
+]
+_WORD = re.compile(rb"[A-Za-z0-9_.+-]+")
+
+
+def spoilt(content: bytes, randomness: random.Random) -> bytes:
+    """The bytes, spoilt in one to four ways."""
+    for _ in range(randomness.choice((1, 1, 1, 2, 2, 4))):
+        content = randomness.choice(_WAYS)(content, randomness)
+    return content
+
+
+def _word(content: bytes, randomness: random.Random) -> bytes:
+    """A word or number for another."""
+    words = list(_WORD.finditer(content[: 2**18]))
+    if not words:
+        return content
+    word = randomness.choice(words)
+    other = randomness.choice(words)[0] if randomness.random() < 0.3 else randomness.choice(_TOKENS)
+    return content[: word.start()] + other + content[word.end() :]
+
+
+def _inserted(content: bytes, randomness: random.Random) -> bytes:
+    at = randomness.randrange(len(content) + 1)
+    return content[:at] + randomness.choice(_TOKENS) + content[at:]
+
+
+def _flipped(content: bytes, randomness: random.Random) -> bytes:
+    other = bytearray(content)
+    for _ in range(randomness.choice((1, 1, 4, 16)) if content else 0):
+        other[randomness.randrange(len(other))] = randomness.choice((0, 0xFF, 0x7F, 0x80, randomness.randrange(256)))
+    return bytes(other)
+
+
+def _number(content: bytes, randomness: random.Random) -> bytes:
+    """Four or eight bytes for those of a large number, mostly near the start, where sizes stand."""
+    at = randomness.randrange(max(1, min(len(content), 400 if randomness.random() < 0.7 else len(content))))
+    value = randomness.choice((b"\xff" * 4, b"\xff\xff\xff\x7f", b"\0" * 4, b"\0\0\0\x80", b"\xff" * 8, b"\0\0\x10\0"))
+    return content[:at] + value + content[at + len(value) :]
+
+
+def _cut(content: bytes, randomness: random.Random) -> bytes:
+    return content[: randomness.randrange(len(content) + 1)]
+
+
+def _removed(content: bytes, randomness: random.Random) -> bytes:
+    start = randomness.randrange(len(content) + 1)
+    return content[:start] + content[start + randomness.choice((1, 4, 40, 400)) :]
+
+
+def _repeated(content: bytes, randomness: random.Random) -> bytes:
+    start = randomness.randrange(len(content) + 1)
+    part = content[start : start + randomness.choice((1, 10, 100, 1000))]
+    return content[:start] + part * randomness.choice((2, 3, 50)) + content[start:]
+
+
+def _lines(content: bytes, randomness: random.Random) -> bytes:
+    """A line left out, twice, or in the place of another."""
+    lines = content.split(b"\n")
+    at, other = randomness.randrange(len(lines)), randomness.randrange(len(lines))
+    return b"\n".join(randomness.choice((lines[:at] + lines[at + 1 :], [*lines[:at], lines[other], *lines[at:]])))
+
+
+_WAYS = (_word, _word, _word, _inserted, _flipped, _number, _cut, _removed, _repeated, _lines)
+
+
+# Good files of every kind
+
+
+def good_files(folder: Path) -> list[Target]:
+    """Files of all kinds written into a folder, and their readers."""
+    return [*_recordings(folder), *_results(folder), *_camera_files(folder), *_mocap_files(folder), *_images(folder)]
+
+
+def _simulation():
+    return simulate(SimulationOptions(rig=quest3_like_rig(), n_frames=8, duration_s=4.0), seed=1)
+
+
+def _recordings(folder: Path) -> list[Target]:
+    simulation = _simulation()
+    write_simulation(simulation, folder / "rec", images=False)
+    device = LollypopOptions(rig=simulation.options.rig, calibrated_in=simulation.scene, n_frames=40)
+    write_lollypop_simulation(simulate_lollypop(device, seed=2), folder / "lollypop", images=False)
+    targets = []
+    for name, load in (("rec", load_recording), ("lollypop", load_lollypop_recording)):
+        for file in sorted((folder / name).iterdir()):
+            if file.name != "ground_truth.json":
+                targets.append(Target(f"{name}/{file.name}", file, partial(load, folder / name)))
+    manifest = folder / "rec/recording.yaml"
+    targets.append(Target("rec/recording.yaml as named", manifest, partial(named_files, manifest)))
+    targets.append(Target("ground truth", folder / "rec/ground_truth.json", partial(read_ground_truth, folder / "rec")))
+    (folder / "board.yaml").write_text(
+        "type: charuco\ndictionary: DICT_5X5_100\nsquare_columns: 8\nsquare_rows: 6\n"
+        "square_side_m: 0.04\nmarker_side_m: 0.03\n"
+    )
+    (folder / "device.yaml").write_text("device: {preset: paper_lollypop}\n")
+    (folder / "priors.yaml").write_text(
+        "gtcal_priors: 1\nbody_T_board: {position_mm: [1, 2, 3], rotvec_deg: [0, 0, 90], sigma_mm: 1, sigma_deg: 0.5}\n"
+        "cameras:\n  cam0: {intrinsics: {fx: {value: 500.0, sigma: 1.0}}}\n"
+    )
+    return [
+        *targets,
+        Target("board", folder / "board.yaml", partial(load_board, str(folder / "board.yaml"))),
+        Target("device", folder / "device.yaml", partial(read_device, folder / "device.yaml")),
+        Target("priors", folder / "priors.yaml", partial(read_priors, folder / "priors.yaml")),
+    ]
+
+
+def _exact(simulation):
+    cameras = simulation.options.rig.cameras
+    poses = dict(simulation.truth.camera_T_ref)
+    return exact_calibration(simulation.recording.capture, cameras, poses)
+
+
+def _results(folder: Path) -> list[Target]:
+    simulation = _simulation()
+    calibration = _exact(simulation)
+    write_calibration(folder / "cal.json", calibration)
+    write_verification(folder / "ver.json", verify(load_lollypop_recording(folder / "lollypop"), calibration))
+    found = next(iter(simulation.recording.detections.values()))
+    _write_cache(folder / "cache.npz", found, "")
+    return [
+        Target("calibration", folder / "cal.json", partial(read_calibration, folder / "cal.json")),
+        Target("verification", folder / "ver.json", partial(read_verification, folder / "ver.json")),
+        Target("cache", folder / "cache.npz", partial(_read_cache, folder / "cache.npz", simulation.recording.board)),
+    ]
+
+
+def _camera_files(folder: Path) -> list[Target]:
+    rig = calibration_rig(read_calibration(folder / "cal.json"))
+    suffixes = {"numpy": ".npz", "kalibr": ".yaml", "opencv": ".yml", "anipose": ".toml", "pose2sim": ".toml"}
+    targets = []
+    for name in CAMERA_FILE_WRITERS:
+        path = folder / (f"rig_{name}" + ("" if name in FOLDER_FORMATS else suffixes.get(name, ".json")))
+        write_rig(rig, path, name, [], nearest=True)
+        for file in sorted(path.iterdir()) if path.is_dir() else [path]:
+            targets.append(Target(f"{name} {file.name}", file, partial(read_rig, path, name)))
+        if name not in ("anipose",):
+            targets.append(Target(f"{name} by itself", file, partial(read_rig, path, None)))
+    return targets
+
+
+def _mocap_files(folder: Path) -> list[Target]:
+    a = from_zero(wandering_trajectory("a", n=30, interval_ns=10_000_000))
+    poses, labels = a.world_T_body, tuple(f"a:m{i}" for i in range(len(CUBE_M)))
+    markers = dict(zip(labels, np.moveaxis(markers_of(poses), 1, 0), strict=True))
+    write_motive(folder / "motive.csv", {"a": poses}, markers=markers, rate_hz=100.0)
+    write_vicon(folder / "vicon.csv", segments={"a:root": poses})
+    write_qualisys(folder / "qualisys.tsv", {"a": poses})
+    write_trc(folder / "markers.trc", markers)
+    write_euroc_csv(folder / "euroc.csv", a)
+    write_tum(folder / "tum.txt", a)
+    kinds = {
+        "motive.csv": ("motive_csv", BodySelection()),
+        "vicon.csv": ("vicon_csv", BodySelection(rotation="helical")),
+        "qualisys.tsv": ("qualisys_tsv", BodySelection()),
+        "markers.trc": ("trc", BodySelection(markers=labels)),
+        "euroc.csv": ("euroc_csv", BodySelection()),
+        "tum.txt": ("tum", BodySelection()),
+    }
+    targets = []
+    for file, (kind, selection) in kinds.items():
+        path = folder / file
+        targets.append(Target(kind, path, partial(TRAJECTORY_READERS[kind], path, "a", PoseConventions(), selection)))
+        targets.append(Target(f"{kind} summed up", path, partial(inspect_mocap, path)))
+    return targets
+
+
+def _images(folder: Path) -> list[Target]:
+    image = np.random.default_rng(1).integers(0, 255, (48, 64), dtype=np.uint8)
+    (folder / "images").mkdir()
+    for i, suffix in enumerate((".png", ".jpg", ".tiff", ".bmp", ".webp", ".pgm")):
+        cv2.imwrite(str(folder / "images" / f"{1_000_000_000 + 50_000_000 * i}{suffix}"), image)
+    names = sorted(file.name for file in (folder / "images").iterdir())
+    listing = folder / "list.csv"
+    listing.write_text("#timestamp [ns],filename\n" + "".join(f"{name.split('.')[0]},{name}\n" for name in names))
+    return [
+        *(
+            Target(f"image {Path(name).suffix}", folder / "images" / name, partial(read_grey, folder / "images" / name))
+            for name in names
+        ),
+        Target("image list", listing, partial(image_list, listing, folder / "images")),
+        Target("image folder", folder / "images" / names[0], partial(image_folder, folder / "images")),
+    ]
+
+
+if __name__ == "__main__":
+    sys.exit(tyro.cli(main))
