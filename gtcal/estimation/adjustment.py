@@ -30,9 +30,6 @@ from gtcal.estimation.screening import Screened, keep_all, screen
 from gtcal.progress import Progress, silent
 from gtcal.results.covariance import JointCovariance
 
-LEAST_GAIN = 1e-4
-"""Of the whitened error, from the last iteration: a step of a hundredth of a sigma, and what is left is its square."""
-
 MAX_ROUNDS = 6
 """Of screening and solving; two do unless the first estimate was poor."""
 
@@ -137,7 +134,6 @@ def minimised(
         to_values(estimate, with_theta=options.refine_intrinsics),
         eps=options.eps,
         max_iterations=options.max_iterations,
-        least_gain=LEAST_GAIN,
     )
     return updated(estimate, found.values), found.errors
 

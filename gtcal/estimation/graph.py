@@ -124,6 +124,9 @@ def reprojection_graph(
 
 _LARGEST_DAMPING = 1e9
 
+_MOST_LAST_STEPS, _LEAST_PROMISE, _ROUNDING = 4, 1e-13, 1e-12
+"""After a step that promised less than this share of the error, the next is far below a millionth of a sigma."""
+
 
 @dataclass(frozen=True)
 class Minimisation:
@@ -139,15 +142,10 @@ class Minimisation:
 
 
 def minimise(
-    graph: gtsam.NonlinearFactorGraph,
-    values: gtsam.Values,
-    *,
-    eps: float,
-    max_iterations: int,
-    least_gain: float = float("inf"),
+    graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, *, eps: float, max_iterations: int
 ) -> Minimisation:
-    """Levenberg-Marquardt until an iteration improves the error E by less than eps (1 + E), and by less than
-    ``least_gain``: of a whitened error, a gain of 1/2 can be a step of a whole sigma.
+    """Levenberg-Marquardt until an iteration improves the error E by less than eps (1 + E), then undamped steps to the
+    optimum itself: damping and ``eps`` would leave a share of a sigma that depends on where the origins are.
 
     Damped by the Hessian's diagonal: rad, m, px and distortion coefficients stand side by side in one graph."""
     parameters = gtsam.LevenbergMarquardtParams()
@@ -158,5 +156,28 @@ def minimise(
     while len(errors) <= max_iterations and not converged:
         optimizer.iterate()
         errors.append(optimizer.error())
-        converged = not errors[-2] - errors[-1] >= min(eps * (1.0 + errors[-1]), least_gain)
-    return Minimisation(optimizer.values(), tuple(errors), converged and bool(np.isfinite(errors[-1])))
+        converged = not errors[-2] - errors[-1] >= eps * (1.0 + errors[-1])
+    found, converged = optimizer.values(), converged and bool(np.isfinite(errors[-1]))
+    if converged:
+        found, errors[-1] = _finished(graph, found, errors[-1])
+    return Minimisation(found, tuple(errors), converged)
+
+
+def _finished(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, error: float) -> tuple[gtsam.Values, float]:
+    """After Gauss-Newton steps, which are the same in any frame, while they promise a gain over rounding and keep
+    it."""
+    for _ in range(_MOST_LAST_STEPS):
+        linear = graph.linearize(values)
+        try:
+            step = linear.optimize()
+        except RuntimeError:  # singular: a direction that the data leave open
+            break
+        promised = -0.5 * linear.gradientAtZero().dot(step)
+        moved = values.retract(step)
+        moved_error = graph.error(moved)
+        if not moved_error <= error * (1.0 + _ROUNDING):
+            break
+        values, error = moved, min(moved_error, error)
+        if promised <= _LEAST_PROMISE * error:
+            break
+    return values, error

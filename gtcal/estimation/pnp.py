@@ -10,7 +10,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -18,6 +18,7 @@ from scipy.spatial.transform import Rotation
 
 from factors import CornerViews, RobustKernel
 from factors.reprojection import view_moments
+from factors.rigid import inverse
 from gtcal.camera import BoolArray, Camera, FloatArray
 from gtcal.estimation.observations import Views
 from gtcal.estimation.residuals import corner_views, median_by_view, residual_norms_px, select_views
@@ -30,6 +31,7 @@ _REFINEMENT = RobustKernel("Cauchy", 2.0)  # px: a wrong tag must not turn its v
 _REFINEMENT_STEPS = 8
 _ENOUGH, _FEW = 1e-3, 0.05  # done where fewer views than this share still gain more than this share of their loss
 _PARALLEL_FROM_VIEWS = 64
+_THINNEST_M = 1e-9
 
 
 @dataclass(frozen=True)
@@ -47,7 +49,33 @@ class PnpViews:
 
 def solve_pnp(views: Views, *, max_views: int) -> PnpViews:
     """PnP of at most ``max_views`` views, spread evenly over those with the most to say (eight corners or more, where
-    there are enough such views). A view that PnP cannot solve is left out."""
+    there are enough such views). A view that PnP cannot solve is left out.
+
+    Solved in a frame of the board's own, so that the poses do not depend on where its origin and axes were put."""
+    board_T_own = _own_frame(views)
+    in_own = (views.corners_m - board_T_own[:3, 3]) @ board_T_own[:3, :3]
+    found = _solved(replace(views, corners_m=in_own), max_views)
+    return replace(found, camera_T_board=found.camera_T_board @ inverse(board_T_own))
+
+
+def _own_frame(views: Views) -> FloatArray:
+    """board_T_own (4, 4): the origin at the centroid of the corners seen, x from the first of them to the last, z
+    normal to the plane of both and of the corner that lies farthest from their line."""
+    _, rows = np.unique(views.corner_ids, return_index=True)
+    corners_m = views.corners_m[rows]
+    along = corners_m[-1] - corners_m[0]
+    x = along / max(float(np.linalg.norm(along)), 1e-12)
+    normals = np.cross(x, corners_m - corners_m[0])
+    lengths = np.linalg.norm(normals, axis=1)
+    board_T_own = np.eye(4)
+    board_T_own[:3, 3] = corners_m.mean(axis=0)
+    if lengths.max() > 1e-9:  # else all on a line: PnP will fail
+        z = normals[lengths.argmax()] / lengths.max()
+        board_T_own[:3, :3] = np.column_stack([x, np.cross(z, x), z])
+    return board_T_own
+
+
+def _solved(views: Views, max_views: int) -> PnpViews:
     chosen = _choose(np.diff(views.view_start), max_views)
     subset = select_views(views, chosen)
     solved, poses = _ippe(subset)
@@ -101,7 +129,7 @@ def _ippe_of_view(corners_m: FloatArray, bearings: FloatArray) -> FloatArray | N
     virtual_R_camera = _turn_to(bearings.mean(axis=0))
     turned = bearings @ virtual_R_camera.T
     usable = turned[:, 2] > np.cos(MAX_OFF_MEAN_RAD)
-    if usable.sum() < 4:
+    if usable.sum() < 4 or _on_a_line(corners_m[usable]):
         return None
     normalised = turned[usable, :2] / turned[usable, 2:]
     try:
@@ -118,6 +146,12 @@ def _ippe_of_view(corners_m: FloatArray, bearings: FloatArray) -> FloatArray | N
     if count == 0 or not poses:
         return None
     return np.stack([poses[0], poses[-1]])
+
+
+def _on_a_line(corners_m: FloatArray) -> bool:
+    """Or in a point."""
+    _, across, _ = np.linalg.svd(corners_m - corners_m.mean(axis=0), compute_uv=False)
+    return bool(across <= _THINNEST_M)
 
 
 def _turn_to(direction: FloatArray) -> FloatArray:

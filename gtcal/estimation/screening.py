@@ -25,6 +25,10 @@ CORNER_GATE = 7.0
 """A corner is out where it lies over 7 times the median distance from its view's median residual: 8.2 sigma of a
 Gaussian (the median Rayleigh length is 1.18 sigma), to spare room for lens-model error."""
 
+MEDIAN_OVER_QUARTER = 3.0
+"""A camera's median residual is not what is usual where it is over 3 times the lowest quarter's (1.55 times, for
+lengths of Gaussian vectors): then it is that of gross views, which by chance are over half of this camera's."""
+
 FLOOR_PX = 0.3
 """No gate below this many pixels: in data without noise nothing is an outlier."""
 
@@ -68,7 +72,7 @@ class Screened:
 
 def screen(views: Mapping[str, Views], estimate: Estimate) -> Screened:
     """Drop the views, then the corners, whose residuals under the estimate are gross. At least half of a camera's
-    views stay whatever their residuals are, since the gate is relative to their median."""
+    views stay, since the gate is relative to their median, or at least a quarter where the others lie far off."""
     return _screened(views, estimate, _masks)
 
 
@@ -99,8 +103,15 @@ def _all(views: Views, residuals_px: FloatArray, lengths_px: FloatArray) -> tupl
 def _masks(views: Views, residuals_px: FloatArray, lengths_px: FloatArray) -> tuple[BoolArray, BoolArray]:
     """Which views (V,) and corners (N,) stay. A corner without a pixel (NaN) counts as infinitely far off."""
     of_view = median_by_view(views, lengths_px)
-    keep_view = of_view <= max(VIEW_GATE * float(np.median(of_view)), FLOOR_PX)
+    keep_view = of_view <= max(VIEW_GATE * _usual(of_view), FLOOR_PX)
     from_view = offsets_from_view(views, residuals_px)
     in_kept_view = np.repeat(keep_view, np.diff(views.view_start))
     usual = float(np.median(from_view[in_kept_view]))
     return keep_view, in_kept_view & (from_view <= max(CORNER_GATE * usual, FLOOR_PX))
+
+
+def _usual(lengths_px: FloatArray) -> float:
+    """The median, or what the lowest quarter lets one expect of it if that is far less."""
+    quarter = float(np.sort(lengths_px)[(len(lengths_px) - 1) // 4])
+    median = float(np.median(lengths_px))
+    return float(min(median, max(MEDIAN_OVER_QUARTER * quarter, FLOOR_PX)))
