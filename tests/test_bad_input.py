@@ -208,10 +208,6 @@ CASES: dict[str, tuple[Edit, list[str]]] = {
         in_manifest(lambda m: m["cameras"]["side_left"].update(image_size_px=[640, 512])),
         ["recording.yaml: cameras.side_left"],
     ),
-    "intrinsics missing": (
-        in_manifest(lambda m: m["cameras"]["front_left"].pop("parameters")),
-        ["camera 'front_left' has no intrinsics", "--calibrate-intrinsics"],
-    ),
     "a parameter missing": (
         in_manifest(lambda m: m["cameras"]["front_left"]["parameters"].pop("k3")),
         ["recording.yaml: cameras.front_left.parameters.k3: is missing"],

@@ -172,10 +172,10 @@ def test_warnings_come_before_the_table(calibration: Calibration) -> None:
 def test_names_are_text_and_never_markup(calibration: Calibration) -> None:
     name = "</script><img src=x onerror=alert(1)>"
     joint = calibration.covariance
-    renamed = JointCovariance(joint.kind, {name: joint.theta_sizes["cam0"]}, joint.matrix[:12, :12])
+    renamed = JointCovariance(joint.kind, {name: 0}, joint.matrix[:12, :12])
     odd = replace(
         calibration,
-        cameras={name: calibration.cameras["cam0"]},
+        cameras={name: replace(calibration.cameras["cam0"], theta_covariance=None, lens_moves=())},
         covariances={joint.kind: renamed},
         warnings=(f"see {name}",),
     )

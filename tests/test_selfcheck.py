@@ -42,7 +42,7 @@ def test_halves_of_a_good_recording_agree(found: list[SelfCheck]) -> None:
     assert 0.5 < per_dof.mean() < 1.6
     assert all(check.halves.agrees and "they agree" in check.halves.statement for check in found)
     assert {difference.what for difference in found[0].halves.by_unknown} > {"board", "side_left"}
-    assert found[0].halves.overall.dof == 30
+    assert found[0].halves.overall.dof == 6 + 4 * (6 + 12)
 
 
 def test_a_camera_that_moved_half_way_is_told() -> None:

@@ -25,7 +25,7 @@ from gtcal.simulation import MocapNoise
 @pytest.fixture(scope="module", name="found")
 def _found():
     simulation = simulated(HEADSET, frames=30, mocap=MocapNoise(0.3, 0.03))
-    return calibrate_observations(synchronise(simulation.recording))
+    return calibrate_observations(synchronise(simulation.recording), CalibrationOptions(intrinsics="exact"))
 
 
 def test_the_examples_jacobians_equal_numeric_differentiation():
