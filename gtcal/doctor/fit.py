@@ -124,7 +124,7 @@ def fit_chain(
     posed = {name: guide for name, guide in posed.items() if guide.views.n_views >= MIN_VIEWS}
     if not posed:
         return replace(NO_CHAIN, n_asked=asked)
-    aligned = stage_1(posed, np.random.default_rng(seed), n_starts=_STARTS)
+    aligned = stage_1(posed, np.random.default_rng(seed), n_starts=_STARTS, seek_consensus=False)
     # stage 1 stops short of its optimum by an amount that depends on the start: too rough to compare readings by
     estimate, _ = stage_2(aligned.views, aligned.estimate, eps=_EPS_M2, max_iterations=_POLISHING_STEPS)
     by_camera_m = {

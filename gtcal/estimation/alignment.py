@@ -39,6 +39,7 @@ _FEWEST_JUDGED = 6
 """Of fewer views of a camera none is left out: each of them is needed, and which of them is wrong is not to be told."""
 
 _MAX_REFERENCES = 200
+_MOST_TURNED = 30  # views, 435 pairs of which tell X's rotation to start from
 
 _CLOSE = 0.01
 """A chain that fits has its median corner within this share of the board's distance: three times what PnP errs by on a
@@ -101,11 +102,14 @@ def stage_1(
     *,
     n_starts: int = N_STARTS,
     method: SweepMode = "converged",
+    seek_consensus: bool = True,
 ) -> Aligned:
-    """Procrustes sweep over all cameras, robust to gross views while they are a minority."""
+    """Procrustes sweep over all cameras, robust to gross views while they are a minority.
+
+    seek_consensus: where no chain comes close to most views; who tries wrong readings of a recording does without."""
     agreeing = {name: _agreeing_views(guide) for name, guide in guides.items()}
     aligned = _passes(guides, agreeing, rng, n_starts, method)
-    if method == "paper" or _share_of_distance(guides, aligned.estimate) < _CLOSE:
+    if method == "paper" or not seek_consensus or _share_of_distance(guides, aligned.estimate) < _CLOSE:
         return aligned
     found = consensus({name: guide.poses for name, guide in guides.items()}, rng)
     if found is None:
@@ -161,13 +165,20 @@ def _swept(
 
 def _by_turns(chosen: Mapping[str, AlignmentViews]) -> tuple[FloatArray, FloatArray]:
     """Starts (k, C, 4, 4) and (k, 4, 4), one by the turns between the views of each camera: rotations only."""
-    rotations = [(v.ref_T_body[None, :, :3, :3], v.pnp_camera_T_board[None, :, :3, :3]) for v in chosen.values()]
+    rotations = [_rotations(v.ref_T_body, v.pnp_camera_T_board) for v in chosen.values()]
     R_X = np.concatenate([rotation_by_turns(A, That) for A, That in rotations])
     X, Y = np.tile(np.eye(4), (len(R_X), 1, 1)), np.tile(np.eye(4), (len(R_X), len(rotations), 1, 1))
     X[:, :3, :3] = R_X
     for c, (A, That) in enumerate(rotations):
         Y[:, c, :3, :3] = rotation_between(A @ R_X[:, None], np.broadcast_to(That, (len(R_X), *That.shape[1:])))
     return Y, X
+
+
+def _rotations(ref_T_body: FloatArray, camera_T_board: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """(1, v, 3, 3) each, of some of the views, spread evenly."""
+    n_views = len(ref_T_body)
+    rows = np.linspace(0, n_views - 1, min(n_views, _MOST_TURNED)).round().astype(np.int64)
+    return ref_T_body[None, rows, :3, :3], camera_T_board[None, rows, :3, :3]
 
 
 def _share_of_distance(guides: Mapping[str, GuideViews], estimate: Estimate) -> float:
