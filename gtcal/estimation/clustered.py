@@ -90,7 +90,7 @@ def _parts(adjusted: Adjusted, options: CalibrationOptions) -> Iterator[FrameMom
     )
 
 
-def lens_weight(adjusted: Adjusted, options: CalibrationOptions, correlation_s: float) -> float:
+def lens_weight(adjusted: Adjusted, options: CalibrationOptions) -> float:
     """By how much the priors of stated intrinsics must count more in stage 3 than alone, at least 1.
 
     Stage 3 takes all corners for independent; those of a frame are not, so that it believes too much in what they say
@@ -99,7 +99,7 @@ def lens_weight(adjusted: Adjusted, options: CalibrationOptions, correlation_s: 
     likelihood (Pauli, Racugno and Ventura 2011; Ribatet, Cooley and Davison 2012). Variances are summed in units of the
     priors', so that what the data determine better than they need not be told counts little. As the weight sets what
     the data have to determine, it is found in turns."""
-    sums = _Sums.of(_parts(adjusted, options), correlation_s)
+    sums = _Sums.of(_parts(adjusted, options), 0.0)
     first = 6 + 6 * len(adjusted.screened.views)
     lens_information = Priors.of(adjusted, options, 2.0).information - Priors.of(adjusted, options, 1.0).information
     weight = 1.0

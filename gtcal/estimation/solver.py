@@ -300,17 +300,12 @@ def _stage_3(
     return adjusted, (replace(report, median_px=_median_px(views, adjusted.estimate)),)
 
 
-def _weighed(
-    adjusted: Adjusted,
-    views: Mapping[str, Views],
-    options: CalibrationOptions,
-    correlation_s: float = 0.0,
-) -> Adjusted:
+def _weighed(adjusted: Adjusted, views: Mapping[str, Views], options: CalibrationOptions) -> Adjusted:
     """Stage 3 with what is stated of the lenses counted as it should be beside corners that err together, frame by
-    frame or for ``correlation_s``."""
+    frame."""
     for _ in range(_WEIGHINGS if options.trusts_stated_intrinsics else 0):
         try:
-            weight = lens_weight(adjusted, options, correlation_s)
+            weight = lens_weight(adjusted, options)
         except np.linalg.LinAlgError:
             break  # a direction is open, and named later
         if abs(np.log(weight / adjusted.lens_weight)) < _SAME_WEIGHT:
