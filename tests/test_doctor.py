@@ -273,16 +273,14 @@ FAULTS = {
     "clock seconds behind": Fault(
         STANDING,
         "clock offset",
-        ("add +3.0",),
+        ("platform.stamp_offset_ns: -3000",),
         lambda r: stamps(r, lambda ns: ns - 3_000_000_000, bodies=False),
-        mends=False,
     ),
     "clock of another epoch": Fault(
         FIXED,
         "clock offset",
-        ("add -",),
+        ("board_body.stamp_offset_ns: 1599999999999",),
         lambda r: stamps(r, lambda ns: ns - 1_600_000_000_000_000_000, bodies=True),
-        mends=False,
     ),
     "one camera's clock": Fault(
         HEADSET,
