@@ -31,12 +31,16 @@ TESTED_ELSEWHERE = "clock offset"
 
 
 def with_effects(calibration: Calibration, observations: Observations, options: CalibrationOptions) -> Calibration:
-    """The calibration with what else the data want, and a warning for each that is no chance; by how much the estimate
-    would move if these were let in is in its covariance, for so far is it off.
+    """The calibration with what else the data want, as ``with_found``.
 
     observations: those that it was computed from. Where the mocap was taken as exact, or its noise could not be told,
     nothing is looked for: significance needs a noise."""
-    found = find_effects(calibration, observations, options)
+    return with_found(calibration, find_effects(calibration, observations, options))
+
+
+def with_found(calibration: Calibration, found: FoundEffects) -> Calibration:
+    """The calibration with these effects, and a warning for each that is no chance; by how much the estimate would move
+    if these were let in is in its covariance, for so far is it off."""
     with_doubt = calibration
     if calibration.covariance is not None and len(found.left_out):
         joint = calibration.covariance

@@ -18,7 +18,7 @@ from factors.rigid import inverse
 from gtcal.camera import FloatArray
 from gtcal.effects.change_points import ChangePoint, parts
 from gtcal.effects.evidence import Sums
-from gtcal.effects.find import effect_warnings, find_effects, frames_of, with_effects
+from gtcal.effects.find import effect_warnings, find_effects, frames_of, with_found
 from gtcal.effects.frames import Frames
 from gtcal.estimation.estimate import Estimate
 from gtcal.estimation.mocap_noise import adjoint
@@ -74,7 +74,7 @@ def in_segments(
     observations: those that it was computed from. solve: calibrates observations."""
     found = find_effects(calibration, observations, options)
     if not found.changes:
-        return with_effects(calibration, observations, options)
+        return with_found(calibration, found)
     changes = found.changes
     cameras, slips = _sorted_out(changes)
     split = _split(observations, cameras)
@@ -193,16 +193,7 @@ def _with_covariances(calibration: Calibration, covariances: dict[str, JointCova
     own = covariances.get(calibration.covariance_kind)
     if own is None:
         return calibration
-    cameras = {
-        name: replace(
-            camera,
-            camera_T_ref=replace(camera.camera_T_ref, covariance=own.camera_T_ref(name)),
-            theta_covariance=own.theta(name),
-        )
-        for name, camera in calibration.cameras.items()
-    }
-    body_T_board = replace(calibration.body_T_board, covariance=own.body_T_board)
-    return replace(calibration, covariances=covariances, cameras=cameras, body_T_board=body_T_board)
+    return replace(calibration, covariances=covariances).with_covariance(own)
 
 
 def _effects(
