@@ -1,6 +1,6 @@
 """The reprojection error of whole frames: one factor for all the corners that all cameras see at one moment.
 
-    residual = pi(camera_T_ref * ref_T_body * body_T_board * corner; theta) - pixel,    ref_T_body = A_f a variable
+    residual = pi(camera_T_ref * ref_T_body * body_T_board * corner(shape); theta) - pixel,  ref_T_body = A_f a variable
 
 A frame's factor has the error, gradient and Hessian of all its corners. The frames of a recording are summed together,
 on all cores, the first time that GTSAM asks one of them at new values; the others then find their sums ready.
@@ -16,10 +16,11 @@ from dataclasses import dataclass, field
 import gtsam
 import numpy as np
 
+from factors.board_shape import N_SHAPE
 from factors.camera_models import CameraModel
 from factors.kernel import kernel
 from factors.moments import chain, transport_view, triangular_factor
-from factors.reprojection import CornerViews, FloatArray, IntArray, Jacobians, view_moments
+from factors.reprojection import FLAT, CornerViews, FloatArray, IntArray, Jacobians, view_moments
 from factors.rigid import pose_at
 from factors.robust import GAUSSIAN, RobustKernel
 
@@ -56,21 +57,24 @@ def _frame_triangle(
     body_T_board: FloatArray,
     first_column: IntArray,
     n_theta: IntArray,
+    n_shape: int,
     n_columns: int,
 ) -> FloatArray:
     """Triangular factor of the summed moments (v, d, d) of a frame's views, in the tangents of A_f, X, the Y_c and
-    theta_c of the views' cameras, and the residual. View i's Y_c starts at ``first_column[i]``, its theta behind it."""
+    theta_c of the views' cameras, the board's shape (its ``n_shape`` numbers), and the residual. View i's Y_c starts at
+    ``first_column[i]``, its theta behind it."""
     total = np.zeros((n_columns, n_columns))
     for i in range(len(by_view)):
-        k = n_theta[i]
+        k = n_theta[i] + n_shape
         local = np.zeros((19 + k, 19 + k))
         transport_view(by_view[i, : 7 + k, : 7 + k], ref_T_body, body_T_board, True, local)
         column = np.empty(19 + k, dtype=np.int64)
         for j in range(6):
             column[j], column[6 + j], column[12 + j] = first_column[i] + j, j, 6 + j
-        for j in range(k):
+        for j in range(n_theta[i]):
             column[18 + j] = first_column[i] + 6 + j
-        column[18 + k] = n_columns - 1
+        for j in range(n_shape + 1):
+            column[18 + n_theta[i] + j] = n_columns - 1 - n_shape + j
         for a in range(19 + k):
             for b in range(a, 19 + k):
                 p, q = column[a], column[b]
@@ -85,7 +89,7 @@ class _Sums:
     """The moments of all views, and the loss of each frame, at one set of values."""
 
     poses: dict[int, gtsam.Pose3] = field(default_factory=dict)
-    thetas: dict[int, FloatArray] = field(default_factory=dict)
+    vectors: dict[int, FloatArray] = field(default_factory=dict)
     ref_T_body: FloatArray = field(default_factory=lambda: np.zeros((0, 4, 4)))
     body_T_board: FloatArray = field(default_factory=lambda: np.eye(4))
     by_view: list[FloatArray] = field(default_factory=list)
@@ -97,7 +101,7 @@ class _Sums:
             if key in self.poses:
                 if not values.atPose3(key).equals(self.poses[key], 0.0):
                     return False
-            elif key not in self.thetas or not np.array_equal(values.atVector(key), self.thetas[key]):
+            elif key not in self.vectors or not np.array_equal(values.atVector(key), self.vectors[key]):
                 return False
         return True
 
@@ -116,8 +120,10 @@ class _Sums:
 class FramesReprojection:
     """The frames of a recording and their factors, ``self.factors``; they share their sums.
 
-    ref_T_body: (F,) keys of the Pose3 variables A_f. body_T_board: key of X.
-    Keys of a factor in order: A_f, X, then for each camera that sees the frame Y_c and, where it is free, theta_c.
+    ref_T_body: (F,) keys of the Pose3 variables A_f. body_T_board: key of X. shape: (5,) of the board, as in
+    ``factors.board_shape``, or the key of a vector variable.
+    Keys of a factor in order: A_f, X, then for each camera that sees the frame Y_c and, where it is free, theta_c; then
+    the shape, where it is free.
 
     Raises ValueError where a frame is seen by no camera or a frame number has no key."""
 
@@ -127,13 +133,15 @@ class FramesReprojection:
         *,
         ref_T_body: Sequence[int],
         body_T_board: int,
+        shape: int | FloatArray = FLAT,
         robust: RobustKernel = GAUSSIAN,
     ) -> None:
         self.cameras = tuple(cameras)
         self.ref_T_body = tuple(ref_T_body)
         self.body_T_board = body_T_board
+        self.shape = shape
         self.robust = robust
-        self._theta = {camera.theta for camera in self.cameras if isinstance(camera.theta, int)}
+        self._vectors = {key for key in (shape, *(camera.theta for camera in self.cameras)) if isinstance(key, int)}
         self._sums = _Sums()
         seen: list[list[tuple[int, int]]] = [[] for _ in self.ref_T_body]
         for c, camera in enumerate(self.cameras):
@@ -155,22 +163,25 @@ class FramesReprojection:
         """With the moments even where only the error is asked for: a step that lowers it is linearised next."""
         keys = (*self.ref_T_body, self.body_T_board, *(camera.camera_T_ref for camera in self.cameras))
         poses = {key: values.atPose3(key) for key in keys}
-        thetas = {key: values.atVector(key) for key in self._theta}
+        vectors = {key: values.atVector(key) for key in self._vectors}
         ref_T_body = np.stack([poses[key].matrix() for key in self.ref_T_body])
         body_T_board = pose_at(values, self.body_T_board)
+        shape = vectors[self.shape] if isinstance(self.shape, int) else self.shape
         by_view, loss = [], np.zeros(len(self.ref_T_body))
         for camera in self.cameras:
             found = view_moments(
                 camera.views,
                 chain(pose_at(values, camera.camera_T_ref), ref_T_body[camera.frame], body_T_board),
                 camera.model,
-                thetas[camera.theta] if isinstance(camera.theta, int) else camera.theta,
+                vectors[camera.theta] if isinstance(camera.theta, int) else camera.theta,
+                shape,
                 robust=self.robust,
                 with_theta=camera.n_theta > 0,
+                with_shape=isinstance(self.shape, int),
             )
             by_view.append(found.moments)
             loss += np.bincount(camera.frame, found.loss, minlength=len(loss))
-        return _Sums(poses, thetas, ref_T_body, body_T_board, by_view, loss)
+        return _Sums(poses, vectors, ref_T_body, body_T_board, by_view, loss)
 
 
 class _FrameResidual:
@@ -182,11 +193,15 @@ class _FrameResidual:
         self._frames, self._frame, self._views = frames, frame, views
         self._first_column = 12 + np.cumsum(sizes) - sizes
         self._n_theta = sizes - 6
-        self._n_columns = int(13 + sizes.sum())
+        self._n_shape = N_SHAPE if isinstance(frames.shape, int) else 0
+        self._n_columns = int(13 + sizes.sum()) + self._n_shape
         self.keys = [frames.ref_T_body[frame], frames.body_T_board]
         for camera in cameras:
             self.keys += [camera.camera_T_ref, *([camera.theta] if isinstance(camera.theta, int) else [])]
         blocks = [6, 6, *(size for n in self._n_theta for size in ((6, int(n)) if n else (6,)))]
+        if isinstance(frames.shape, int):
+            self.keys.append(frames.shape)
+            blocks.append(self._n_shape)
         edges = np.concatenate([[0], np.cumsum(blocks)])
         self._blocks = list(itertools.pairwise(edges.tolist()))
 
@@ -200,6 +215,7 @@ class _FrameResidual:
             sums.body_T_board,
             self._first_column,
             self._n_theta,
+            self._n_shape,
             self._n_columns,
         )
         for i, (start, end) in enumerate(self._blocks):

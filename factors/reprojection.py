@@ -1,13 +1,15 @@
 """The reprojection error of board corners, in two grains of one measurement.
 
-    residual = pi(camera_T_ref * ref_T_body * body_T_board * corner; theta) - pixel
+    residual = pi(camera_T_ref * ref_T_body * body_T_board * corner(shape); theta) - pixel
 
 ``CornerReprojectionFactor`` is one corner with GTSAM's own noise models: the reference, and the researcher's tool.
 ``FusedReprojectionFactor`` is all corners of a view, or of all the views of a camera, as one factor with the same
 error, gradient, Hessian and optimum.
 
+The board's shape (``factors.board_shape``) is that of a flat board as stated, or a variable.
+
 What makes the fused one fast: one kernel sums w [J r]^T [J r] of each view in the tangent of its camera_T_board
-(and theta), 7 columns instead of 13; ``factors.moments`` carries the sums over to the variables.
+(and theta, and the shape), 7 columns instead of 13; ``factors.moments`` carries the sums over to the variables.
 
 A corner without a pixel under the current estimate (outside the model's valid field) has the error of its continued
 pixel (``project_point``), so that no step across the field's end is a step of the error. Only what has no direction
@@ -21,7 +23,7 @@ import math
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 from typing import Any
 
@@ -29,6 +31,7 @@ import gtsam
 import numpy as np
 import numpy.typing as npt
 
+from factors.board_shape import N_SHAPE, shape_columns, shaped_corner
 from factors.camera_models import CameraModel, field_limit, project_point
 from factors.kernel import inlined, kernel
 from factors.moments import chain, transport, triangular_factor
@@ -38,6 +41,10 @@ from factors.robust import GAUSSIAN, RobustKernel, robust_loss_and_weight
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 
+FLAT = np.zeros(N_SHAPE)
+"""The shape of a board as stated."""
+
+_NO_OUTLINE = np.array([0.0, 0.0, 1.0, 1.0])
 _CORNERS_PER_TASK = 8192  # below this a thread costs more than it saves
 
 
@@ -49,6 +56,7 @@ class CornerViews:
     corners_m: (N, 3) corners in the board frame.
     corners_px: (N, 2) their measured pixels.
     sigma_px: standard deviation of a measured coordinate.
+    outline_m: (4,) of the whole board, as of ``outline_of``: what a shape other than ``FLAT`` is relative to.
 
     Raises ValueError where the shapes do not fit."""
 
@@ -56,6 +64,7 @@ class CornerViews:
     corners_m: FloatArray
     corners_px: FloatArray
     sigma_px: float = 1.0
+    outline_m: FloatArray = field(default_factory=_NO_OUTLINE.copy)
 
     def __post_init__(self) -> None:
         for name, dtype in (("view_start", np.int64), ("corners_m", np.float64), ("corners_px", np.float64)):
@@ -71,6 +80,8 @@ class CornerViews:
             raise ValueError(f"view_start must run from 0 to N={n} over at least one view, and never back")
         if not self.sigma_px > 0.0:
             raise ValueError(f"{self.sigma_px=}, expected a positive standard deviation")
+        if self.outline_m.shape != (4,):
+            raise ValueError(f"{self.outline_m.shape=}, expected (4,)")
 
     @property
     def n_views(self) -> int:
@@ -82,7 +93,7 @@ class ViewMoments:
     """What the corners of each view say, in the tangent of its camera_T_board (right-handed perturbation).
 
     moments: (V, D, D) sum of w [J r]^T [J r], whitened, w the robust weight. Columns: tangent (6), theta (K or
-    none), residual (1).
+    none), the board's shape (5 or none), residual (1).
     loss: (V,) sum of the robust losses; the factor's error.
     n_invalid: (V,) corners that have no pixel."""
 
@@ -97,18 +108,22 @@ def _corner_residual(
     theta: FloatArray,
     limit: float,
     T: FloatArray,
-    X: float,
-    Y: float,
-    Z: float,
+    stated_X: float,
+    stated_Y: float,
+    stated_Z: float,
+    outline_m: FloatArray,
+    shape: FloatArray,
     measured_x: float,
     measured_y: float,
     rows: FloatArray,
     J_point: FloatArray,
     J_theta: FloatArray,
     with_theta: bool,
+    with_shape: bool,
 ) -> bool:
-    """Write [J r] of the corner (X, Y, Z) in the board frame, in px, into rows (2, D); columns as in ViewMoments,
-    T = camera_T_board. Whether the corner has a pixel."""
+    """Write [J r] of the corner stated at (X, Y, Z) in the board frame, in px, into rows (2, D); columns as in
+    ViewMoments, T = camera_T_board. Whether the corner has a pixel."""
+    X, Y, Z = shaped_corner(outline_m, shape, stated_X, stated_Y, stated_Z)
     x = T[0, 0] * X + T[0, 1] * Y + T[0, 2] * Z + T[0, 3]
     y = T[1, 0] * X + T[1, 1] * Y + T[1, 2] * Z + T[1, 3]
     z = T[2, 0] * X + T[2, 1] * Y + T[2, 2] * Z + T[2, 3]
@@ -128,6 +143,8 @@ def _corner_residual(
         if with_theta:
             for k in range(len(theta)):
                 rows[i, 6 + k] = J_theta[i, k]
+        if with_shape:
+            shape_columns(outline_m, stated_X, stated_Y, gx, gy, gz, rows[i], last - N_SHAPE)
     rows[0, last], rows[1, last] = px - measured_x, py - measured_y
     return valid
 
@@ -140,10 +157,13 @@ def _sum_views(
     view_start: IntArray,
     corners_m: FloatArray,
     corners_px: FloatArray,
+    outline_m: FloatArray,
+    shape: FloatArray,
     sigma_px: float,
     kernel_id: int,
     kernel_parameter: float,
     with_theta: bool,
+    with_shape: bool,
     with_moments: bool,
     first_view: int,
     end_view: int,
@@ -153,7 +173,7 @@ def _sum_views(
 ) -> None:
     limit = field_limit(model_id, theta)
     J_point, J_theta = np.empty((2, 3)), np.empty((2, len(theta)))
-    columns = 7 + len(theta) if with_theta else 7
+    columns = 7 + (len(theta) if with_theta else 0) + (N_SHAPE if with_shape else 0)
     rows, total = np.empty((2, columns)), np.empty((columns, columns))
     last = columns - 1
     for v in range(first_view, end_view):
@@ -169,12 +189,15 @@ def _sum_views(
                 corners_m[n, 0],
                 corners_m[n, 1],
                 corners_m[n, 2],
+                outline_m,
+                shape,
                 corners_px[n, 0],
                 corners_px[n, 1],
                 rows,
                 J_point,
                 J_theta,
                 with_theta,
+                with_shape,
             )
             distance = math.sqrt(rows[0, last] ** 2 + rows[1, last] ** 2) / sigma_px
             rho, weight = robust_loss_and_weight(kernel_id, kernel_parameter, distance)
@@ -200,6 +223,8 @@ def _residuals(
     view_start: IntArray,
     corners_m: FloatArray,
     corners_px: FloatArray,
+    outline_m: FloatArray,
+    shape: FloatArray,
     first_view: int,
     end_view: int,
     residuals_px: FloatArray,
@@ -209,7 +234,7 @@ def _residuals(
     for v in range(first_view, end_view):
         T = camera_T_board[v]
         for n in range(view_start[v], view_start[v + 1]):
-            X, Y, Z = corners_m[n, 0], corners_m[n, 1], corners_m[n, 2]
+            X, Y, Z = shaped_corner(outline_m, shape, corners_m[n, 0], corners_m[n, 1], corners_m[n, 2])
             x = T[0, 0] * X + T[0, 1] * Y + T[0, 2] * Z + T[0, 3]
             y = T[1, 0] * X + T[1, 1] * Y + T[1, 2] * Z + T[1, 3]
             z = T[2, 0] * X + T[2, 1] * Y + T[2, 2] * Z + T[2, 3]
@@ -256,12 +281,14 @@ def view_moments(
     camera_T_board: FloatArray,
     model: CameraModel,
     theta: FloatArray,
+    shape: FloatArray = FLAT,
     *,
     robust: RobustKernel = GAUSSIAN,
     with_theta: bool = False,
+    with_shape: bool = False,
     with_moments: bool = True,
 ) -> ViewMoments:
-    """Sum the corners of every view at camera_T_board (V, 4, 4), on all cores.
+    """Sum the corners of every view at camera_T_board (V, 4, 4), on a board of this shape (5,), on all cores.
 
     The result does not depend on the number of cores. Without ``with_moments`` only losses and counts are there
     (moments has the shape (0, D, D)).
@@ -269,7 +296,7 @@ def view_moments(
     Raises ValueError where the shapes do not fit."""
     theta = model.as_theta(theta)
     camera_T_board = _poses_of(views, camera_T_board)
-    columns = 7 + model.n_parameters * with_theta
+    columns = 7 + model.n_parameters * with_theta + N_SHAPE * with_shape
     n_views = views.n_views
     moments = np.empty((n_views if with_moments else 0, columns, columns))
     loss, n_invalid = np.empty(n_views), np.empty(n_views, dtype=np.int64)
@@ -282,10 +309,13 @@ def view_moments(
             views.view_start,
             views.corners_m,
             views.corners_px,
+            views.outline_m,
+            shape,
             views.sigma_px,
             robust.kernel_id,
             robust.parameter,
             with_theta,
+            with_shape,
             with_moments,
             *task,
             moments,
@@ -297,9 +327,11 @@ def view_moments(
     return ViewMoments(moments, loss, n_invalid)
 
 
-def residuals_px(views: CornerViews, camera_T_board: FloatArray, model: CameraModel, theta: FloatArray) -> FloatArray:
-    """Projection less measurement (N, 2) of every corner at camera_T_board (V, 4, 4); NaN where a corner has no
-    pixel.
+def residuals_px(
+    views: CornerViews, camera_T_board: FloatArray, model: CameraModel, theta: FloatArray, shape: FloatArray = FLAT
+) -> FloatArray:
+    """Projection less measurement (N, 2) of every corner at camera_T_board (V, 4, 4), on a board of this shape (5,);
+    NaN where a corner has no pixel.
 
     Raises ValueError where the shapes do not fit."""
     theta = model.as_theta(theta)
@@ -307,7 +339,7 @@ def residuals_px(views: CornerViews, camera_T_board: FloatArray, model: CameraMo
     out = np.empty_like(views.corners_px)
 
     def run(task: tuple[int, int]) -> None:
-        columns = views.view_start, views.corners_m, views.corners_px
+        columns = views.view_start, views.corners_m, views.corners_px, views.outline_m, shape
         _residuals(model.model_id, theta, camera_T_board, *columns, *task, out)
 
     _run_on_all_cores(run, views.view_start)
@@ -320,12 +352,13 @@ Evaluate = Callable[[gtsam.CustomFactor, gtsam.Values, Jacobians], FloatArray]
 
 @dataclass(frozen=True)
 class _Variables:
-    """Where the residual's four arguments come from: each a key, or a constant."""
+    """Where the residual's five arguments come from: each a key, or a constant."""
 
     camera_T_ref_key: int
     body_T_board_key: int
     ref_T_body: int | FloatArray
     theta: int | FloatArray
+    shape: int | FloatArray
 
     @property
     def free_body(self) -> bool:
@@ -338,29 +371,37 @@ class _Variables:
     @property
     def keys(self) -> list[int]:
         optional_body = [self.ref_T_body] if isinstance(self.ref_T_body, int) else []
-        optional_theta = [self.theta] if isinstance(self.theta, int) else []
-        return [self.camera_T_ref_key, *optional_body, self.body_T_board_key, *optional_theta]
+        optional = [value for value in (self.theta, self.shape) if isinstance(value, int)]
+        return [self.camera_T_ref_key, *optional_body, self.body_T_board_key, *optional]
 
-    def at(self, values: gtsam.Values) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """camera_T_ref (4, 4), ref_T_body (V, 4, 4), body_T_board (4, 4), theta (K,)."""
-        body, theta = self.ref_T_body, self.theta
+    @property
+    def free_shape(self) -> bool:
+        return isinstance(self.shape, int)
+
+    def at(self, values: gtsam.Values) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
+        """camera_T_ref (4, 4), ref_T_body (V, 4, 4), body_T_board (4, 4), theta (K,), shape (5,)."""
+        body, theta, shape = self.ref_T_body, self.theta, self.shape
         return (
             pose_at(values, self.camera_T_ref_key),
             pose_at(values, body)[None] if isinstance(body, int) else body,
             pose_at(values, self.body_T_board_key),
             values.atVector(theta) if isinstance(theta, int) else theta,
+            values.atVector(shape) if isinstance(shape, int) else shape,
         )
+
+    def split(self, jacobians: Jacobians, columns: FloatArray) -> None:
+        """Hand GTSAM the columns of each variable, in the order of ``keys``."""
+        sizes = [6] * (2 + self.free_body)
+        rest = columns.shape[1] - 6 * len(sizes) - N_SHAPE * self.free_shape
+        sizes += [rest] * self.free_theta + [N_SHAPE] * self.free_shape
+        start = 0
+        for i, size in enumerate(sizes):
+            jacobians[i] = np.asfortranarray(columns[:, start : start + size])
+            start += size
 
 
 def _checked(model: CameraModel, theta: int | FloatArray) -> int | FloatArray:
     return theta if isinstance(theta, int) else model.as_theta(theta)
-
-
-def _split_columns(jacobians: Jacobians, columns: FloatArray) -> None:
-    """Hand GTSAM the columns of each variable: six of a pose, the rest of theta."""
-    for i in range(len(jacobians)):
-        end = columns.shape[1] if i == len(jacobians) - 1 else 6 * (i + 1)
-        jacobians[i] = np.asfortranarray(columns[:, 6 * i : end])
 
 
 def reprojection_moments(
@@ -370,15 +411,20 @@ def reprojection_moments(
     body_T_board: FloatArray,
     model: CameraModel,
     theta: FloatArray,
+    shape: FloatArray = FLAT,
     *,
     robust: RobustKernel = GAUSSIAN,
     free_body: bool = False,
     free_theta: bool = False,
+    free_shape: bool = False,
 ) -> FloatArray:
     """Sum of w [J r]^T [J r] over all views, upper triangle, in the tangents of camera_T_ref, of ref_T_body where
-    ``free_body`` (one view only), of body_T_board and of theta where ``free_theta``; the residual is last."""
+    ``free_body`` (one view only), of body_T_board, of theta where ``free_theta`` and of the board's shape where
+    ``free_shape``; the residual is last."""
     camera_T_board = chain(camera_T_ref, ref_T_body, body_T_board)
-    by_view = view_moments(views, camera_T_board, model, theta, robust=robust, with_theta=free_theta)
+    by_view = view_moments(
+        views, camera_T_board, model, theta, shape, robust=robust, with_theta=free_theta, with_shape=free_shape
+    )
     return transport(by_view.moments, ref_T_body, body_T_board, free_body=free_body)
 
 
@@ -392,11 +438,11 @@ class _FusedResidual:
     robust: RobustKernel
 
     def __call__(self, factor: gtsam.CustomFactor, values: gtsam.Values, jacobians: Jacobians) -> FloatArray:
-        camera_T_ref, ref_T_body, body_T_board, theta = self.variables.at(values)
+        camera_T_ref, ref_T_body, body_T_board, theta, shape = self.variables.at(values)
         if jacobians is None:
             camera_T_board = chain(camera_T_ref, ref_T_body, body_T_board)
             by_view = view_moments(
-                self.views, camera_T_board, self.model, theta, robust=self.robust, with_moments=False
+                self.views, camera_T_board, self.model, theta, shape, robust=self.robust, with_moments=False
             )
             return np.array([math.sqrt(2.0 * by_view.loss.sum())])
         moments = reprojection_moments(
@@ -406,12 +452,14 @@ class _FusedResidual:
             body_T_board,
             self.model,
             theta,
+            shape,
             robust=self.robust,
             free_body=self.variables.free_body,
             free_theta=self.variables.free_theta,
+            free_shape=self.variables.free_shape,
         )
         triangle = triangular_factor(moments)
-        _split_columns(jacobians, triangle[:, :-1])
+        self.variables.split(jacobians, triangle[:, :-1])
         return triangle[:, -1]
 
 
@@ -421,10 +469,11 @@ class FusedReprojectionFactor(gtsam.CustomFactor):
     camera_T_ref_key, body_T_board_key: Pose3 variables Y_c and X.
     ref_T_body: (V, 4, 4) exact poses A_t; or, for a single view, the key of a Pose3 variable A_t.
     theta: (K,) fixed intrinsics; or the key of a vector variable.
+    shape: (5,) of the board, as in ``factors.board_shape``; or the key of a vector variable.
     robust: acts on each corner's whitened norm, as ``gtsam.noiseModel.Robust`` would.
 
-    Keys in order: Y_c, A_t if free, X, theta if free. The Jacobian handed to GTSAM is the triangular factor of the
-    corners' whitened [J r]; a value-only call returns one entry, the root of twice the summed loss.
+    Keys in order: Y_c, A_t if free, X, theta if free, shape if free. The Jacobian handed to GTSAM is the triangular
+    factor of the corners' whitened [J r]; a value-only call returns one entry, the root of twice the summed loss.
 
     Raises ValueError where the shapes do not fit."""
 
@@ -437,6 +486,7 @@ class FusedReprojectionFactor(gtsam.CustomFactor):
         model: CameraModel,
         ref_T_body: int | FloatArray,
         theta: int | FloatArray,
+        shape: int | FloatArray = FLAT,
         robust: RobustKernel = GAUSSIAN,
     ) -> None:
         if isinstance(ref_T_body, int):
@@ -444,7 +494,7 @@ class FusedReprojectionFactor(gtsam.CustomFactor):
                 raise ValueError(f"{views.n_views=}: a free ref_T_body needs a factor of one view")
         elif ref_T_body.shape != (views.n_views, 4, 4):
             raise ValueError(f"{ref_T_body.shape=}, expected ({views.n_views}, 4, 4)")
-        variables = _Variables(camera_T_ref_key, body_T_board_key, ref_T_body, _checked(model, theta))
+        variables = _Variables(camera_T_ref_key, body_T_board_key, ref_T_body, _checked(model, theta), shape)
         # no noise model: the rows come whitened, and a value-only call returns fewer of them
         super().__init__(None, variables.keys, _FusedResidual(views, variables, model, robust))  # type: ignore[call-overload]
 
@@ -455,11 +505,12 @@ class _CornerResidual:
 
     corner_m: FloatArray
     corner_px: FloatArray
+    outline_m: FloatArray
     variables: _Variables
     model: CameraModel
 
     def __call__(self, factor: gtsam.CustomFactor, values: gtsam.Values, jacobians: Jacobians) -> FloatArray:
-        camera_T_ref, ref_T_body, body_T_board, theta = self.variables.at(values)
+        camera_T_ref, ref_T_body, body_T_board, theta, shape = self.variables.at(values)
         rows = corner_rows(
             self.model.model_id,
             self.model.as_theta(theta),
@@ -468,11 +519,14 @@ class _CornerResidual:
             body_T_board,
             self.corner_m,
             self.corner_px,
+            self.outline_m,
+            shape,
             self.variables.free_body,
             self.variables.free_theta,
+            self.variables.free_shape,
         )
         if jacobians is not None:
-            _split_columns(jacobians, rows[:, :-1])
+            self.variables.split(jacobians, rows[:, :-1])
         return rows[:, -1]
 
 
@@ -485,14 +539,17 @@ def corner_rows(
     body_T_board: FloatArray,
     corner_m: FloatArray,
     corner_px: FloatArray,
+    outline_m: FloatArray,
+    shape: FloatArray,
     free_body: bool,
     free_theta: bool,
+    free_shape: bool,
 ) -> FloatArray:
     """[J r] of one corner in px, shape (2, n + 1), in the variables' tangents as in ``reprojection_moments``."""
     ref_T_board, camera_T_board = np.zeros((4, 4)), np.zeros((4, 4))
     compose(ref_T_body, body_T_board, ref_T_board)
     compose(camera_T_ref, ref_T_board, camera_T_board)
-    rest = len(theta) + 1 if free_theta else 1
+    rest = 1 + (len(theta) if free_theta else 0) + (N_SHAPE if free_shape else 0)
     n_blocks = 3 if free_body else 2
     local = np.empty((2, 6 + rest))
     _corner_residual(
@@ -503,12 +560,15 @@ def corner_rows(
         corner_m[0],
         corner_m[1],
         corner_m[2],
+        outline_m,
+        shape,
         corner_px[0],
         corner_px[1],
         local,
         np.empty((2, 3)),
         np.empty((2, len(theta))),
         free_theta,
+        free_shape,
     )
     adjoint = np.empty((2, 6, 6))
     adjoint_of_inverse(ref_T_board, adjoint[0])
@@ -529,7 +589,7 @@ class CornerReprojectionFactor(gtsam.CustomFactor):
     """One corner as a factor of two rows, in px; variables and their order as in ``FusedReprojectionFactor``.
 
     noise_model: any of GTSAM's, of dimension 2; ``RobustKernel.noise_model`` makes the one that the fused factor
-    uses inside.
+    uses inside. shape, outline_m: of the board, as in ``FusedReprojectionFactor`` and ``CornerViews``.
 
     Raises ValueError where the shapes do not fit."""
 
@@ -544,7 +604,10 @@ class CornerReprojectionFactor(gtsam.CustomFactor):
         ref_T_body: int | FloatArray,
         theta: int | FloatArray,
         noise_model: gtsam.noiseModel.Base,
+        shape: int | FloatArray = FLAT,
+        outline_m: FloatArray = _NO_OUTLINE,
     ) -> None:
         constant = ref_T_body if isinstance(ref_T_body, int) else np.asarray(ref_T_body).reshape(1, 4, 4)
-        variables = _Variables(camera_T_ref_key, body_T_board_key, constant, _checked(model, theta))
-        super().__init__(noise_model, variables.keys, _CornerResidual(corner_m, corner_px, variables, model))
+        variables = _Variables(camera_T_ref_key, body_T_board_key, constant, _checked(model, theta), shape)
+        residual = _CornerResidual(corner_m, corner_px, outline_m, variables, model)
+        super().__init__(noise_model, variables.keys, residual)

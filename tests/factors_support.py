@@ -17,6 +17,8 @@ from factors import (
     FusedReprojectionFactor,
     RobustKernel,
 )
+from factors.board_shape import outline_of
+from factors.reprojection import FLAT
 from factors.rigid import inverse
 
 QUEST3_RIGHT = [503.17462158203125, 503.17462158203125, 636.9581909179688, 511.8325500488281]
@@ -73,7 +75,8 @@ def poses(random: np.random.Generator, n: int, angle_rad: float, distance_m: flo
     return np.array([gtsam.Pose3.Expmap(xi).matrix() for xi in tangents]).reshape(n, 4, 4)
 
 
-Y, X, THETA = (gtsam.symbol(letter, 0) for letter in "yxt")
+Y, X, THETA, SHAPE = (gtsam.symbol(letter, 0) for letter in "yxts")
+BENT = np.array([1e-3, -2e-3, 1.5e-3, -1e-3, 7e-4])
 
 
 def A(view: int) -> int:
@@ -91,45 +94,65 @@ class Scene:
     ref_T_body: np.ndarray
     values: gtsam.Values
 
-    def initial(self, *, free_body: bool = False, free_theta: bool = False) -> gtsam.Values:
+    def initial(self, *, free_body: bool = False, free_theta: bool = False, free_shape: bool = False) -> gtsam.Values:
         """Those of the values that are variables."""
         values = gtsam.Values(self.values)
         for key in [] if free_body else [A(v) for v in range(self.views.n_views)]:
             values.erase(key)
         if not free_theta:
             values.erase(THETA)
+        if not free_shape:
+            values.erase(SHAPE)
         return values
 
     def graph(
-        self, *, fused: bool, robust: RobustKernel = GAUSSIAN, free_body: bool = False, free_theta: bool = False
+        self,
+        *,
+        fused: bool,
+        robust: RobustKernel = GAUSSIAN,
+        free_body: bool = False,
+        free_theta: bool = False,
+        free_shape: bool = False,
     ) -> gtsam.NonlinearFactorGraph:
         """The measurement in one of its two grains, without priors."""
         graph = gtsam.NonlinearFactorGraph()
-        theta = THETA if free_theta else self.theta
+        theta, shape = THETA if free_theta else self.theta, SHAPE if free_shape else FLAT
         if fused and not free_body:
-            graph.add(self.fused(self.views, self.ref_T_body, theta, robust))
+            graph.add(self.fused(self.views, self.ref_T_body, theta, robust, shape))
             return graph
         for v in range(self.views.n_views):
             body = A(v) if free_body else self.ref_T_body[v]
             if fused:
-                graph.add(self.fused(self.one_view(v), body, theta, robust))
+                graph.add(self.fused(self.one_view(v), body, theta, robust, shape))
                 continue
             for n in range(*self.views.view_start[v : v + 2]):
-                graph.add(self.corner(n, body, theta, robust.noise_model(self.views.sigma_px, 2)))
+                graph.add(self.corner(n, body, theta, robust.noise_model(self.views.sigma_px, 2), shape))
         return graph
 
     def one_view(self, v: int) -> CornerViews:
         start, end = self.views.view_start[v : v + 2]
         corners = self.views.corners_m[start:end], self.views.corners_px[start:end]
-        return CornerViews(np.array([0, end - start]), *corners, self.views.sigma_px)
+        return CornerViews(np.array([0, end - start]), *corners, self.views.sigma_px, self.views.outline_m)
 
     def fused(
-        self, views: CornerViews, body: int | np.ndarray, theta: int | np.ndarray, robust: RobustKernel = GAUSSIAN
+        self,
+        views: CornerViews,
+        body: int | np.ndarray,
+        theta: int | np.ndarray,
+        robust: RobustKernel = GAUSSIAN,
+        shape: int | np.ndarray = FLAT,
     ) -> FusedReprojectionFactor:
-        return FusedReprojectionFactor(Y, X, views=views, model=self.model, ref_T_body=body, theta=theta, robust=robust)
+        return FusedReprojectionFactor(
+            Y, X, views=views, model=self.model, ref_T_body=body, theta=theta, shape=shape, robust=robust
+        )
 
     def corner(
-        self, n: int, body: int | np.ndarray, theta: int | np.ndarray, noise_model: gtsam.noiseModel.Base
+        self,
+        n: int,
+        body: int | np.ndarray,
+        theta: int | np.ndarray,
+        noise_model: gtsam.noiseModel.Base,
+        shape: int | np.ndarray = FLAT,
     ) -> CornerReprojectionFactor:
         return CornerReprojectionFactor(
             Y,
@@ -140,6 +163,8 @@ class Scene:
             ref_T_body=body,
             theta=theta,
             noise_model=noise_model,
+            shape=shape,
+            outline_m=self.views.outline_m,
         )
 
 
@@ -162,12 +187,13 @@ def scene(
     assert valid.all(), "the scene should lie in the field of view"
     pixels += random.normal(scale=noise_px, size=pixels.shape)
     pixels += outlier_px * random.normal(size=pixels.shape) * (random.random((len(pixels), 1)) < 0.2)
-    views = CornerViews(len(grid) * np.arange(n_views + 1), corners_m, pixels, sigma_px=0.4)
+    views = CornerViews(len(grid) * np.arange(n_views + 1), corners_m, pixels, 0.4, outline_of(corners_m))
 
     values = gtsam.Values()
     values.insert(Y, gtsam.Pose3(camera_T_ref @ poses(random, 1, 0.0007, 0.0005)[0]))
     values.insert(X, gtsam.Pose3(body_T_board @ poses(random, 1, 0.0007, 0.0005)[0]))
     values.insert(THETA, theta * (1 + 0.0003 * random.normal(size=len(theta))))
+    values.insert(SHAPE, BENT)
     for v in range(n_views):
         values.insert(A(v), gtsam.Pose3(ref_T_body[v] @ poses(random, 1, 0.0003, 0.0002)[0]))
     return Scene(model, theta, views, ref_T_body, values)

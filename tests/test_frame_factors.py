@@ -7,11 +7,12 @@ from dataclasses import replace
 import gtsam
 import numpy as np
 import pytest
-from factors_support import THETA, A, Scene, X, Y, camera, derivative_to, poses, scene
+from factors_support import SHAPE, THETA, A, Scene, X, Y, camera, derivative_to, poses, scene
 
 from factors import FISHEYE62, GAUSSIAN, FusedReprojectionFactor, RobustKernel
 from factors.frames import CameraFrames, FramesReprojection
 from factors.mocap_noise import CorrelatedNoiseFactor
+from factors.reprojection import FLAT
 
 N_VIEWS = 6
 Y2, THETA2 = gtsam.symbol("y", 1), gtsam.symbol("t", 1)
@@ -33,7 +34,7 @@ FRAMES = np.array([0, 1, 3, 4, 5]), np.array([1, 2, 3, 4])
 
 
 def values_of(first: Scene, second: Scene, *, free_theta: bool) -> gtsam.Values:
-    values = first.initial(free_body=True, free_theta=free_theta)
+    values = first.initial(free_body=True, free_theta=free_theta, free_shape=free_theta)
     values.insert(Y2, values.atPose3(Y).retract(np.full(6, 3e-4)))
     if free_theta:
         values.insert(THETA2, 1.0003 * second.theta)
@@ -51,12 +52,14 @@ def seen(of_scene: Scene, rows: np.ndarray, y: int, theta: int | np.ndarray) -> 
 
 
 def frames_graph(first: Scene, second: Scene, robust: RobustKernel, *, free_theta: bool) -> gtsam.NonlinearFactorGraph:
+    """With free intrinsics, the board's shape is free too."""
     cameras = [
         seen(first, FRAMES[0], Y, THETA if free_theta else first.theta),
         seen(second, FRAMES[1], Y2, THETA2 if free_theta else second.theta),
     ]
     graph = gtsam.NonlinearFactorGraph()
-    made = FramesReprojection(cameras, ref_T_body=[A(f) for f in range(N_VIEWS)], body_T_board=X, robust=robust)
+    keys, shape = [A(f) for f in range(N_VIEWS)], SHAPE if free_theta else FLAT
+    made = FramesReprojection(cameras, ref_T_body=keys, body_T_board=X, shape=shape, robust=robust)
     for factor in made.factors:
         graph.add(factor)
     return graph
@@ -69,9 +72,10 @@ def plain_graph(first: Scene, second: Scene, robust: RobustKernel, *, free_theta
         for f in frames:
             theta = key if free_theta else of_scene.theta
             views = of_scene.one_view(f)
+            shape = SHAPE if free_theta else FLAT
             graph.add(
                 FusedReprojectionFactor(
-                    y, X, views=views, model=of_scene.model, ref_T_body=A(f), theta=theta, robust=robust
+                    y, X, views=views, model=of_scene.model, ref_T_body=A(f), theta=theta, shape=shape, robust=robust
                 )
             )
     return graph
@@ -112,7 +116,7 @@ def test_new_values_are_not_taken_for_the_old_ones() -> None:
     first, second = two_cameras()
     values = values_of(first, second, free_theta=True)
     graph, plain = (make(first, second, GAUSSIAN, free_theta=True) for make in (frames_graph, plain_graph))
-    for key in (Y, Y2, X, THETA2, A(3)):
+    for key in (Y, Y2, X, THETA2, SHAPE, A(3)):
         graph.error(values)
         values.update(values.retract(_step(values, key)))
         assert graph.error(values) == pytest.approx(plain.error(values), rel=1e-10)

@@ -5,18 +5,26 @@ from __future__ import annotations
 import gtsam
 import numpy as np
 import pytest
-from factors_support import THETA, A, Scene, X, Y, derivative_to, scene
+from factors_support import SHAPE, THETA, A, Scene, X, Y, derivative_to, scene
 
 from factors import GAUSSIAN, ROBUST_KERNELS, CornerViews, RobustKernel
 from factors import reprojection as module
+from factors.board_shape import N_SHAPE
 from factors.moments import transport, triangular_factor
 from factors.priors import factory_intrinsics_prior
-from factors.reprojection import reprojection_moments, residuals_px, view_moments
+from factors.reprojection import FLAT, reprojection_moments, residuals_px, view_moments
 
 every_kernel = pytest.mark.parametrize("kernel", ROBUST_KERNELS)
 every_model = pytest.mark.parametrize("label", ["quest3", "euroc", "tum_vi", "thin_prism"])
 every_choice_of_variables = pytest.mark.parametrize(
-    "free", [{}, {"free_theta": True}, {"free_body": True}, {"free_body": True, "free_theta": True}]
+    "free",
+    [
+        {},
+        {"free_theta": True},
+        {"free_body": True},
+        {"free_body": True, "free_theta": True},
+        {"free_theta": True, "free_shape": True},
+    ],
 )
 
 
@@ -24,14 +32,23 @@ def both_grains(seen: Scene, robust: RobustKernel, free: dict[str, bool]) -> lis
     return [seen.graph(fused=fused, robust=robust, **free) for fused in (False, True)]
 
 
-def add_priors(graph: gtsam.NonlinearFactorGraph, seen: Scene, free_body: bool, free_theta: bool) -> None:
-    """What a solve needs where the mocap poses or the intrinsics are variables."""
+def add_priors(
+    graph: gtsam.NonlinearFactorGraph,
+    seen: Scene,
+    *,
+    free_body: bool = False,
+    free_theta: bool = False,
+    free_shape: bool = False,
+) -> None:
+    """What a solve needs where the mocap poses, the intrinsics or the board's shape are variables."""
     if free_body:
         noise = gtsam.noiseModel.Diagonal.Sigmas(np.repeat([0.0005, 0.0003], 3))
         for v, ref_T_body in enumerate(seen.ref_T_body):
             graph.add(gtsam.PriorFactorPose3(A(v), gtsam.Pose3(ref_T_body), noise))
     if free_theta:
         graph.add(factory_intrinsics_prior(THETA, seen.theta, 0.01 * np.abs(seen.theta) + 1e-3))
+    if free_shape:
+        graph.add(gtsam.PriorFactorVector(SHAPE, FLAT, gtsam.noiseModel.Isotropic.Sigma(N_SHAPE, 1e-3)))
 
 
 def hessian(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> tuple[np.ndarray, np.ndarray]:
@@ -74,8 +91,9 @@ def test_jacobians_equal_numeric_differentiation(label: str, free: dict[str, boo
     values = seen.initial(**free)
     body = A(1) if "free_body" in free else seen.ref_T_body[1]
     theta = THETA if "free_theta" in free else seen.theta
+    shape = SHAPE if "free_shape" in free else FLAT
     n = int(seen.views.view_start[1]) + 7
-    factor = seen.corner(n, body, theta, gtsam.noiseModel.Unit.Create(2))
+    factor = seen.corner(n, body, theta, gtsam.noiseModel.Unit.Create(2), shape)
     linear = factor.linearize(values)
     np.testing.assert_array_equal(linear.getb(), -factor.unwhitenedError(values))
     stacked = linear.getA()
@@ -100,7 +118,7 @@ def optimum(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> gtsam.Va
 def assert_same_solution(seen: Scene, robust: RobustKernel, free: dict[str, bool]) -> None:
     graphs = both_grains(seen, robust, free)
     for graph in graphs:
-        add_priors(graph, seen, free.get("free_body", False), free.get("free_theta", False))
+        add_priors(graph, seen, **free)
     initial = seen.initial(**free)
     by_corners, by_views = (optimum(graph, initial) for graph in graphs)
     assert graphs[0].error(by_corners) < graphs[0].error(initial)

@@ -67,7 +67,7 @@ def test_kernels(tmp_path: Path) -> None:
 def test_priors(tmp_path: Path) -> None:
     poor = list(study_priors.MOTIONS)[1]
     without, true, wrong = (
-        study_priors.outcome(study_priors.Run(poor, is_wrong, sigma, 5))
+        study_priors.outcome(study_priors.Run(poor, is_wrong, sigma, 6))
         for is_wrong, sigma in ((False, None), (False, 0.3), (True, 0.3))
     )
     assert true[0] < 0.3 * without[0]
