@@ -1,11 +1,11 @@
 """A board that is not quite as stated: larger, longer along one axis, bowed or twisted, by five numbers.
 
-A corner at (x, y) from the board's middle, (u, v) in halves of the board's sides, moves by
+A corner at (x, y), which is (u, v) in halves of the board's sides from its middle, moves by
 
     x (scale + stretch / 2),    y (scale - stretch / 2),    bow_x (1 - u^2) + bow_y (1 - v^2) + twist u v
 
-along the board's axes: scale and stretch are shares; bow_x, bow_y and twist are in m, by how much the middle stands out
-over the edges of that axis, and the corners of the board over its middle.
+along the board's axes; its origin stays where it is, in its plane. scale and stretch are shares; bow_x, bow_y and
+twist are in m: by how much the middle stands out over the edges of that axis, and the board's corners over its middle.
 """
 
 from __future__ import annotations
@@ -20,6 +20,9 @@ FloatArray = npt.NDArray[np.float64]
 SHAPE_NAMES = ("scale", "stretch", "bow_x", "bow_y", "twist")
 N_SHAPE = len(SHAPE_NAMES)
 
+FLAT = np.zeros(N_SHAPE)
+"""The shape of a board as stated."""
+
 _LEAST_HALF_M = 1e-6  # a row of corners has no breadth
 
 
@@ -32,10 +35,9 @@ def outline_of(corners_m: FloatArray) -> FloatArray:
 @inlined
 def shaped_corner(outline_m: FloatArray, shape: FloatArray, X: float, Y: float, Z: float) -> tuple[float, float, float]:
     """Where the corner stated at (X, Y, Z) is on a board with this outline (4,) and shape (5,)."""
-    x, y = X - outline_m[0], Y - outline_m[1]
-    u, v = x / outline_m[2], y / outline_m[3]
+    u, v = (X - outline_m[0]) / outline_m[2], (Y - outline_m[1]) / outline_m[3]
     height_m = shape[2] * (1.0 - u * u) + shape[3] * (1.0 - v * v) + shape[4] * u * v
-    return X + x * (shape[0] + 0.5 * shape[1]), Y + y * (shape[0] - 0.5 * shape[1]), Z + height_m
+    return X * (1.0 + shape[0] + 0.5 * shape[1]), Y * (1.0 + shape[0] - 0.5 * shape[1]), Z + height_m
 
 
 @kernel
@@ -54,8 +56,7 @@ def shape_columns(
 ) -> None:
     """Write a residual's derivatives by the shape into ``row`` from ``first`` on, given those by the position of its
     corner, which is at (X, Y) on the board as stated."""
-    x, y = X - outline_m[0], Y - outline_m[1]
-    u, v = x / outline_m[2], y / outline_m[3]
-    row[first] = gx * x + gy * y
-    row[first + 1] = 0.5 * (gx * x - gy * y)
+    u, v = (X - outline_m[0]) / outline_m[2], (Y - outline_m[1]) / outline_m[3]
+    row[first] = gx * X + gy * Y
+    row[first + 1] = 0.5 * (gx * X - gy * Y)
     row[first + 2], row[first + 3], row[first + 4] = gz * (1.0 - u * u), gz * (1.0 - v * v), gz * u * v

@@ -16,11 +16,11 @@ from dataclasses import dataclass, field
 import gtsam
 import numpy as np
 
-from factors.board_shape import N_SHAPE
+from factors.board_shape import FLAT, N_SHAPE
 from factors.camera_models import CameraModel
 from factors.kernel import kernel
 from factors.moments import chain, transport_view, triangular_factor
-from factors.reprojection import FLAT, CornerViews, FloatArray, IntArray, Jacobians, view_moments
+from factors.reprojection import CornerViews, FloatArray, IntArray, Jacobians, view_moments
 from factors.rigid import pose_at
 from factors.robust import GAUSSIAN, RobustKernel
 

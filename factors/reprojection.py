@@ -31,7 +31,7 @@ import gtsam
 import numpy as np
 import numpy.typing as npt
 
-from factors.board_shape import N_SHAPE, shape_columns, shaped_corner
+from factors.board_shape import FLAT, N_SHAPE, shape_columns, shaped_corner
 from factors.camera_models import CameraModel, field_limit, project_point
 from factors.kernel import inlined, kernel
 from factors.moments import chain, transport, triangular_factor
@@ -40,9 +40,6 @@ from factors.robust import GAUSSIAN, RobustKernel, robust_loss_and_weight
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
-
-FLAT = np.zeros(N_SHAPE)
-"""The shape of a board as stated."""
 
 _NO_OUTLINE = np.array([0.0, 0.0, 1.0, 1.0])
 _CORNERS_PER_TASK = 8192  # below this a thread costs more than it saves

@@ -26,7 +26,9 @@ from scipy.spatial.transform import Rotation
 
 from factors import KANNALA_BRANDT4
 from factors.alignment import corner_moments
+from factors.board_shape import outline_of
 from factors.rigid import inverse
+from gtcal.board_tolerance import BoardTolerance
 from gtcal.camera import BoolArray, Camera, FloatArray
 from gtcal.estimation.alignment import GuideViews, stage_1
 from gtcal.estimation.alignment_descent import descend
@@ -173,6 +175,8 @@ def _seen(
         frame_index=np.arange(n),
         ref_T_body=measured,
         corners_m=np.tile(corners_m, (n, 1)),
+        outline_m=outline_of(corners_m),
+        shape_sigmas=BoardTolerance().shape_sigmas(outline_of(corners_m)),
     )
     moments = corner_moments(view_start, views.corners_m)
     return GuideViews(views, np.stack([seen, tilted], axis=1), np.full(n, 0.1), moments)

@@ -13,108 +13,19 @@ from __future__ import annotations
 
 import argparse
 import os
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from in_parallel import in_parallel
 from rich.console import Console
 from rich.table import Table
-from scipy.spatial.transform import Rotation
+from systematic import CAMERA, Spoil, clock, focal_length, scale, slip, turned_camera
 
-from factors.reprojection import residuals_px
-from gtcal.estimation.observations import synchronise
 from gtcal.estimation.options import CalibrationOptions
-from gtcal.estimation.residuals import corner_views
-from gtcal.recordings.recording import Recording
-from gtcal.simulation import MocapNoise, Simulation, SimulationOptions, simulate
+from gtcal.simulation import MocapNoise, SimulationOptions, simulate
 from gtcal.workflow import calibrate
 
-CHANGED_AT, CAMERA = 0.4, "front_left"
 FRAMES, DURATION_S = 80, 60.0
-AXIS = np.array([1.0, 0.5, -0.3]) / np.linalg.norm([1.0, 0.5, -0.3])
-
-Spoil = Callable[[Simulation, float], Recording]
-
-
-def _slip(body: str, *, turns: bool) -> Spoil:
-    """The body's markers move by mm, or turn by deg."""
-
-    def spoilt(simulation: Simulation, size: float) -> Recording:
-        recording = simulation.recording
-        trajectory = getattr(recording, body)
-        moved = np.eye(4)
-        if turns:
-            moved[:3, :3] = Rotation.from_rotvec(np.deg2rad(size) * AXIS).as_matrix()
-        else:
-            moved[:3, 3] = 1e-3 * size * AXIS
-        after = trajectory.stamps_ns > _changed_ns(recording)
-        poses = trajectory.world_T_body.copy()
-        poses[after] = poses[after] @ moved
-        return replace(recording, **{body: replace(trajectory, world_T_body=poses)})
-
-    return spoilt
-
-
-def _turned_camera(simulation: Simulation, size: float) -> Recording:
-    """A camera turns about its centre by deg."""
-    recording, truth = simulation.recording, simulation.truth
-    views = synchronise(recording).views[CAMERA]
-    of_camera = truth.cameras[CAMERA]
-    ref_T_body = of_camera.ref_T_body[of_camera.frames_of(views.stamps_ns)]
-    camera_T_board = np.ascontiguousarray(of_camera.camera_T_ref @ ref_T_body @ truth.body_T_board)
-    turned = camera_T_board.copy()
-    after = views.stamps_ns > _changed_ns(recording)
-    turn = np.eye(4)
-    turn[:3, :3] = Rotation.from_rotvec(np.deg2rad(size) * AXIS).as_matrix()
-    turned[after] = turn @ turned[after]
-    corners, model, theta = corner_views(views), views.camera.model, views.camera.theta
-    moved_px = residuals_px(corners, turned, model, theta) - residuals_px(corners, camera_T_board, model, theta)
-    detections = recording.detections[CAMERA].select_views(
-        np.isin(recording.detections[CAMERA].stamps_ns, views.stamps_ns)
-    )
-    seen = replace(detections, corners_px=detections.corners_px + np.nan_to_num(moved_px))
-    return replace(recording, detections=recording.detections | {CAMERA: seen})
-
-
-def _clock(*, drifts: bool) -> Spoil:
-    """The cameras' stamps are ahead by ms, or gain us/s."""
-
-    def spoilt(simulation: Simulation, size: float) -> Recording:
-        recording = simulation.recording
-        middle_ns = _stamps(recording).mean()
-        detections = {}
-        for name, found in recording.detections.items():
-            ahead_ns = 1e-6 * size * (found.stamps_ns - middle_ns) if drifts else np.full(found.n_views, 1e6 * size)
-            detections[name] = replace(found, stamps_ns=found.stamps_ns - np.rint(ahead_ns).astype(np.int64))
-        return replace(recording, detections=detections)
-
-    return spoilt
-
-
-def _focal_length(simulation: Simulation, size: float) -> Recording:
-    """A camera's focal length is larger than stated by %."""
-    recording = simulation.recording
-    theta = recording.cameras[CAMERA].theta.copy()
-    theta[:2] /= 1.0 + 0.01 * size
-    stated = replace(recording.cameras[CAMERA], parameters=theta)
-    return replace(recording, cameras=recording.cameras | {CAMERA: stated})
-
-
-def _scale(simulation: Simulation, size: float) -> Recording:
-    """The board is larger than stated by %."""
-    board, stated = simulation.recording.board, 1.0 / (1.0 + 0.01 * size)
-    smaller = replace(board, tag_side_m=stated * board.tag_side_m, tag_gap_m=stated * board.tag_gap_m)
-    return replace(simulation.recording, board=smaller)
-
-
-def _stamps(recording: Recording) -> np.ndarray:
-    return np.unique(np.concatenate([found.stamps_ns for found in recording.detections.values()]))
-
-
-def _changed_ns(recording: Recording) -> int:
-    stamps_ns = _stamps(recording)
-    return int(stamps_ns[0] + CHANGED_AT * (stamps_ns[-1] - stamps_ns[0]))
 
 
 @dataclass(frozen=True)
@@ -129,21 +40,19 @@ class Case:
 
 
 CASES = {
-    "board's markers move": Case(
-        _slip("board_body", turns=False), "board_body markers moved", 0, "mm", (0.2, 0.5, 2.0)
-    ),
+    "board's markers move": Case(slip("board_body"), "board_body markers moved", 0, "mm", (0.2, 0.5, 2.0)),
     "board's markers turn": Case(
-        _slip("board_body", turns=True), "board_body markers moved", 1, "deg", (0.02, 0.05, 0.2)
+        slip("board_body", turns=True), "board_body markers moved", 1, "deg", (0.02, 0.05, 0.2)
     ),
-    "platform's markers move": Case(_slip("platform", turns=False), "platform markers moved", 0, "mm", (0.2, 0.5, 2.0)),
+    "platform's markers move": Case(slip("platform"), "platform markers moved", 0, "mm", (0.2, 0.5, 2.0)),
     "platform's markers turn": Case(
-        _slip("platform", turns=True), "platform markers moved", 1, "deg", (0.02, 0.05, 0.2)
+        slip("platform", turns=True), "platform markers moved", 1, "deg", (0.02, 0.05, 0.2)
     ),
-    "a camera turns": Case(_turned_camera, f"camera {CAMERA} moved", 1, "deg", (0.01, 0.03, 0.2)),
-    "clock offset": Case(_clock(drifts=False), "clock offset", 0, "ms", (0.1, 0.3, 2.0)),
-    "clock drift": Case(_clock(drifts=True), "clock drift", 0, "us/s", (5.0, 20.0, 100.0)),
-    "focal length": Case(_focal_length, f"focal length of {CAMERA}", 0, "%", (0.005, 0.02, 0.2)),
-    "scale": Case(_scale, "scale", 0, "%", (0.02, 0.05, 0.3)),
+    "a camera turns": Case(turned_camera, f"camera {CAMERA} moved", 1, "deg", (0.01, 0.03, 0.2)),
+    "clock offset": Case(clock(drifts=False), "clock offset", 0, "ms", (0.1, 0.3, 2.0)),
+    "clock drift": Case(clock(drifts=True), "clock drift", 0, "us/s", (5.0, 20.0, 100.0)),
+    "focal length": Case(focal_length, f"focal length of {CAMERA}", 0, "%", (0.005, 0.02, 0.2)),
+    "scale": Case(scale, "scale", 0, "%", (0.02, 0.05, 0.3)),
 }
 
 

@@ -17,8 +17,7 @@ from factors import (
     FusedReprojectionFactor,
     RobustKernel,
 )
-from factors.board_shape import outline_of
-from factors.reprojection import FLAT
+from factors.board_shape import FLAT, outline_of
 from factors.rigid import inverse
 
 QUEST3_RIGHT = [503.17462158203125, 503.17462158203125, 636.9581909179688, 511.8325500488281]

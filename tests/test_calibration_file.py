@@ -15,6 +15,7 @@ from calibration_support import HEADSET, simulated
 from scipy.spatial.transform import Rotation
 
 import gtcal
+from factors.board_shape import shaped
 from factors.rigid import inverse
 from gtcal.errors import GtcalError
 from gtcal.estimation.observations import synchronise
@@ -314,5 +315,6 @@ def _residuals(result: Calibration, name: str) -> np.ndarray:
     views, camera = result.solution.views[name], result.cameras[name]
     poses = camera.camera_T_ref.a_T_b @ views.ref_T_body @ result.body_T_board.a_T_b
     poses = poses[views.view_of_corner]
-    in_camera = np.einsum("nij,nj->ni", poses[:, :3, :3], views.corners_m) + poses[:, :3, 3]
+    corners_m = shaped(views.corners_m, views.outline_m, result.estimate.board_shape)
+    in_camera = np.einsum("nij,nj->ni", poses[:, :3, :3], corners_m) + poses[:, :3, 3]
     return camera.camera.project(in_camera)[0] - views.corners_px

@@ -99,15 +99,19 @@ def test_where_the_mocap_is_taken_as_exact_the_frames_are_clustered():
 
 
 def test_a_systematic_error_is_not_taken_for_noise():
-    """A mocap volume that is 1 % too large: what noise would explain comes back at every place."""
+    """A mocap volume that is 1 % too large: what noise would explain comes back at every place. Where the board's size is
+    unknown too, it is that which is wrong by as much, and said to be."""
     simulated = simulation(0, Capture.STANDING_BOARD)
     platform = simulated.recording.platform
     stretched = platform.world_T_body.copy()
     stretched[:, :3, 3] *= 1.01
     recording = replace(simulated.recording, platform=replace(platform, world_T_body=stretched))
-    found = calibrate_observations(synchronise(recording))
+    found = calibrate_observations(synchronise(recording), CalibrationOptions(board="exact"))
     assert found.mocap_noise.stage == 3
     assert found.covariance_kind == CLUSTERED
+    with_shape = calibrate_observations(synchronise(recording))
+    assert next(with_shape.board_shape.parts).value == pytest.approx(1.0, abs=0.05)
+    assert any("the board is not as it was expected to be: larger than stated" in w for w in with_shape.warnings)
 
 
 def test_intrinsics_may_be_free_too():

@@ -9,7 +9,9 @@ import pytest
 from calibration_support import HEADSET, KINDS, pose_errors, simulated, true_camera_T_board
 from scipy.spatial.transform import Rotation
 
+from factors.board_shape import outline_of
 from gtcal.board import AprilGrid
+from gtcal.board_tolerance import BoardTolerance
 from gtcal.camera import Camera
 from gtcal.estimation.observations import Views, synchronise
 from gtcal.estimation.pnp import solve_pnp
@@ -79,6 +81,8 @@ def _views(camera: Camera, board: AprilGrid, seen: list[tuple[np.ndarray, np.nda
         corner_ids=ids,
         corners_m=board.corners_m[ids],
         corners_px=np.concatenate([pixels for _, pixels in seen]),
+        outline_m=outline_of(board.corners_m),
+        shape_sigmas=BoardTolerance().shape_sigmas(outline_of(board.corners_m)),
     )
 
 

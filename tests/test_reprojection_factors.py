@@ -9,10 +9,10 @@ from factors_support import SHAPE, THETA, A, Scene, X, Y, derivative_to, scene
 
 from factors import GAUSSIAN, ROBUST_KERNELS, CornerViews, RobustKernel
 from factors import reprojection as module
-from factors.board_shape import N_SHAPE
+from factors.board_shape import FLAT, N_SHAPE
 from factors.moments import transport, triangular_factor
 from factors.priors import factory_intrinsics_prior
-from factors.reprojection import FLAT, reprojection_moments, residuals_px, view_moments
+from factors.reprojection import reprojection_moments, residuals_px, view_moments
 
 every_kernel = pytest.mark.parametrize("kernel", ROBUST_KERNELS)
 every_model = pytest.mark.parametrize("label", ["quest3", "euroc", "tum_vi", "thin_prism"])

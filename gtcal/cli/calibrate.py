@@ -42,6 +42,7 @@ def calibrate(
     focal_sigma_px: float | None = None,
     centre_sigma_px: float | None = None,
     distortion_sigma: float | None = None,
+    board: Literal["auto", "exact"] = "auto",
     kernel: KernelName = "Null",
     kernel_parameter: float | None = None,
     graduated: bool = False,
@@ -91,6 +92,10 @@ def calibrate(
         focal_sigma_px: 1-sigma of fx and fy of all cameras, in place of the manifest's or a factory's.
         centre_sigma_px: 1-sigma of cx and cy, likewise.
         distortion_sigma: 1-sigma of every distortion coefficient, likewise.
+        board: 'auto': where intrinsics stay near what is known of them, the board's scale, stretch, bow and twist are
+            solved for too, near a flat board as stated, by the manifest's board.scale_sigma (a share) and
+            board.flatness_mm, else 0.1 % and a thousandth of its side, as of a board that was printed and glued.
+            'exact': flat and as stated.
         kernel: Robust kernel of stage 3, by its name in gtsam.noiseModel.mEstimator, on each corner's whitened norm.
         kernel_parameter: Its parameter in sigmas; by default the kernel's usual one.
         graduated: Begin stage 3 with a kernel so wide that nothing is an outlier and narrow it step by step
@@ -142,6 +147,7 @@ def calibrate(
         focal_sigma_px=focal_sigma_px,
         centre_sigma_px=centre_sigma_px,
         distortion_sigma=distortion_sigma,
+        board=board,
         robust=_kernel(kernel, kernel_parameter),
         graduated=graduated,
         priors=read_priors(priors) if priors is not None else Priors(),

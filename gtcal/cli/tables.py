@@ -14,6 +14,7 @@ from factors.rigid import inverse
 from gtcal.camera import FloatArray
 from gtcal.cli.terminal import Terminal
 from gtcal.recordings.recording import Recording
+from gtcal.results.board_shape import BoardShape
 from gtcal.results.calibration import Calibration, CameraCalibration, StageReport, pose_difference
 from gtcal.results.covariance import CLUSTERED, ERRORS_IN_VARIABLES, NAIVE
 from gtcal.results.effect_finding import EffectFinding
@@ -31,6 +32,7 @@ def print_calibration(calibration: Calibration, *, notes: Sequence[str] = (), ve
     """Print fit, poses and warnings; ``verbose`` adds the stages, what was left out and why, and
     the effects that the data do not want."""
     parts: list[RenderableType] = [fit_table(calibration), pose_table(calibration), *lens_tables(calibration)]
+    parts += [shape_table(calibration.board_shape)] if calibration.board_shape is not None else []
     if verbose:
         parts += [stage_table(calibration.stages), *_dropped_lines(calibration), *_lacking_lines(calibration)]
     shown = [finding for finding in calibration.effects if finding.significant or verbose]
@@ -103,6 +105,17 @@ def _moved(camera: CameraCalibration) -> tuple[str, str, str]:
     far = max(moves, key=lambda move: move.sigmas)
     largest_px, largest_mm = max(move.largest_px for move in moves), max(move.camera_mm for move in moves)
     return f"{_GROUP_LETTERS[far.group]} {far.sigmas:.1f}", f"{largest_px:.2f}", f"{largest_mm:.2f}"
+
+
+def shape_table(found: BoardShape) -> Table:
+    """A row per number of the board's shape."""
+    table = new_table("the board's shape", caption="expected: 1-sigma of what was known before, with 0 as the middle")
+    for heading in ("found", "1-sigma", "expected", "unit"):
+        table.add_column(heading, justify="left" if heading == "unit" else "right")
+    for part in found.parts:
+        numbers = f"{part.value:+.3f}", f"{part.sigma:.3f}", f"{part.stated_sigma:.2g}"
+        table.add_row(part.what, *numbers, part.unit)
+    return table
 
 
 def effect_table(findings: Sequence[EffectFinding]) -> Table:

@@ -97,8 +97,14 @@ def _parts(
     views, estimate = calibration.solution.views, calibration.solution.estimate
 
     def of(views: Mapping[str, Views]) -> Iterator[FrameMoments]:
-        free = options.refine_intrinsics
-        return in_parts(views, estimate, frames_of(views), sigma_px=calibration.sigma_px, free_theta=free)
+        return in_parts(
+            views,
+            estimate,
+            frames_of(views),
+            sigma_px=calibration.sigma_px,
+            free_theta=options.refine_intrinsics,
+            free_shape=options.solves_board_shape,
+        )
 
     columns_px = {name: readout_columns_px_per_s(views[name], estimate, motion) for name in readouts}
     plus = [of(_with_residuals_plus(views, name, column)) for name, column in columns_px.items()]

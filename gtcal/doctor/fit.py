@@ -7,7 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from factors.board_shape import outline_of
 from gtcal.board import Board
+from gtcal.board_tolerance import BoardTolerance
 from gtcal.camera import Camera, FloatArray
 from gtcal.estimation.alignment import GuideViews, stage_1, stage_2, turns_rad
 from gtcal.estimation.estimate import Estimate
@@ -81,6 +83,7 @@ def views_of(camera: Camera, board: Board, detections: CameraDetections, *, most
     keep[chosen] = True  # in the order of time
     picked = detections.select_views(keep)
     n = picked.n_views
+    outline_m = outline_of(board.corners_m)
     return Views(
         camera=camera,
         stamps_ns=picked.stamps_ns,
@@ -90,6 +93,8 @@ def views_of(camera: Camera, board: Board, detections: CameraDetections, *, most
         corner_ids=picked.corner_ids,
         corners_m=board.corners_m[picked.corner_ids],
         corners_px=picked.corners_px,
+        outline_m=outline_m,
+        shape_sigmas=BoardTolerance().shape_sigmas(outline_m),
     )
 
 

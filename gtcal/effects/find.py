@@ -7,14 +7,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from factors.board_shape import N_SHAPE
 from gtcal.camera import FloatArray
-from gtcal.effects.board import BoardShape, Scale
+from gtcal.effects.board import BoardShapePart
 from gtcal.effects.change_points import ChangePoint, LensAfter, find_changes, others_of
 from gtcal.effects.effect import Effect
 from gtcal.effects.evidence import Evidence, Sums
 from gtcal.effects.frames import Frames, lag_of
 from gtcal.effects.lenses import lens_effects
-from gtcal.effects.shapes import SHAPES
 from gtcal.effects.timing import BodyLag, ClockDrift, ClockOffset, moves
 from gtcal.estimation.estimate import Estimate
 from gtcal.estimation.mocap_noise import MocapNoiseModel, Whiteness
@@ -44,9 +44,8 @@ def with_found(calibration: Calibration, found: FoundEffects) -> Calibration:
     with_doubt = calibration
     if calibration.covariance is not None and len(found.left_out):
         joint = calibration.covariance
-        with_doubt = calibration.with_covariance(
-            replace(joint, matrix=joint.matrix + found.left_out.T @ found.left_out)
-        )
+        shifts = found.left_out[:, : len(joint.matrix)]
+        with_doubt = calibration.with_covariance(replace(joint, matrix=joint.matrix + shifts.T @ shifts))
     warnings = (*calibration.warnings, *effect_warnings(found.effects))
     return replace(with_doubt, effects=found.effects, warnings=warnings)
 
@@ -54,7 +53,7 @@ def with_found(calibration: Calibration, found: FoundEffects) -> Calibration:
 @dataclass(frozen=True)
 class FoundEffects:
     """effects: those that move a camera most first. changes: among them, in order of time. left_out: (s, P) by how much
-    the unknowns of a ``JointCovariance`` would move with each of the s effects that are no chance."""
+    the unknowns (those of a ``JointCovariance`` first) would move with each of the s effects that are no chance."""
 
     effects: tuple[EffectFinding, ...]
     changes: tuple[ChangePoint, ...]
@@ -153,7 +152,7 @@ def noise_model(noise: MocapNoise) -> MocapNoiseModel:
 
 def lasting_effects(frames: Frames, options: CalibrationOptions) -> list[Effect]:
     """Those that hold all the time and that the options leave out."""
-    effects: list[Effect] = [Scale(), *(BoardShape(index) for index in range(len(SHAPES)))]
+    effects: list[Effect] = [] if options.solves_board_shape else [BoardShapePart(index) for index in range(N_SHAPE)]
     if moves(frames):
         effects += [] if options.clock in ("estimate", "per_camera") else [ClockOffset()]
         effects += [] if options.clock_drift else [ClockDrift()]

@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from factors.board_shape import N_SHAPE
 from gtcal.camera import BoolArray, FloatArray
 from gtcal.effects.isolated import without_isolated
-from gtcal.effects.shapes import with_shapes
 from gtcal.estimation.errors_in_variables import prior_information
 from gtcal.estimation.estimate import Estimate
 from gtcal.estimation.frame_statistics import FrameMoments, frame_moments, frames_of
@@ -115,15 +115,11 @@ class Frames:
         if any(of_camera.n_views == 0 for of_camera in views.values()):
             return None
         frames = _chosen(views)
-        raw = frame_moments(views, estimate, sigma_px=1.0, free_theta=True, frames=frames)
-        n_theta = raw.moments.shape[1] - 1
-        raw = with_shapes(raw, views, estimate)
+        raw = frame_moments(views, estimate, sigma_px=1.0, free_theta=True, free_shape=True, frames=frames)
         raw = raw.whitened_by(options.sigma_px or max(raw.pixel_sigma_px, 1e-6))
         cluster = _clusters(len(frames))
         if cluster[-1] < 9:
             return None
-        n_free = 6 + 6 * len(views)
-        free = np.arange(6, n_theta if options.refine_intrinsics else 6 + n_free)
         return Frames(
             views=views,
             motion=observations.motion,
@@ -134,13 +130,20 @@ class Frames:
             marginal=_marginal(raw, noise, observations.motion, lag_1),
             sigma_px=raw.sigma_px,
             n_corners=_n_corners(views, frames),
-            free=free,
+            free=_free(raw, len(views), options),
             information=prior_information(views, estimate, options),
             seen={name: np.isin(frames, of_camera.frame_index) for name, of_camera in views.items()},
             cluster=cluster,
             noise=noise,
             of_frames=raw,
         )
+
+
+def _free(raw: FrameMoments, n_cameras: int, options: CalibrationOptions) -> IntArray:
+    """The columns that the calibration solved for."""
+    if not options.refine_intrinsics:
+        return np.arange(6, 12 + 6 * n_cameras)
+    return np.arange(6, 6 + raw.n_unknowns - (0 if options.solves_board_shape else N_SHAPE))
 
 
 def _chosen(views: Mapping[str, Views]) -> IntArray:

@@ -183,7 +183,7 @@ def _with_slips_unknown(calibration: Calibration, joint: FloatArray, n_slips: in
     n = len(joint) - n_slips
     added = joint[:n, :n] - np.linalg.inv(np.linalg.inv(joint)[:n, :n])
     covariances = {
-        kind: found if kind == NAIVE else replace(found, matrix=found.matrix + added)
+        kind: found if kind == NAIVE else replace(found, matrix=found.matrix + added[: (P := len(found.matrix)), :P])
         for kind, found in calibration.covariances.items()
     }
     return _with_covariances(calibration, covariances)
@@ -299,7 +299,7 @@ def _of_cameras(joint: JointCovariance, cameras: tuple[str, ...]) -> JointCovari
     kept += [joint.columns_of_theta(name) for name in cameras]
     rows = np.concatenate([np.arange(len(joint.matrix))[columns] for columns in kept])
     sizes = {name: joint.theta_sizes[name] for name in cameras}
-    return JointCovariance(joint.kind, sizes, joint.matrix[np.ix_(rows, rows)])
+    return JointCovariance(joint.kind, sizes, joint.matrix[np.ix_(rows, rows)], joint.board_shape)
 
 
 def _estimate_of(estimate: Estimate, cameras: tuple[str, ...]) -> Estimate:
@@ -307,4 +307,5 @@ def _estimate_of(estimate: Estimate, cameras: tuple[str, ...]) -> Estimate:
         estimate.body_T_board,
         {name: estimate.camera_T_ref[name] for name in cameras},
         {name: estimate.theta[name] for name in cameras},
+        estimate.board_shape,
     )

@@ -9,9 +9,11 @@ import gtsam
 import numpy as np
 
 from factors import RobustKernel
+from gtcal.camera import FloatArray
 from gtcal.errors import GtcalError
 from gtcal.estimation.estimate import Estimate
 from gtcal.estimation.graph import (
+    BOARD_SHAPE,
     BODY_T_BOARD,
     IntrinsicsPrior,
     camera_T_ref_key,
@@ -116,7 +118,7 @@ def _adjusted(
     lens_weight: float = 1.0,
 ) -> Adjusted:
     graph = _graph(screened, estimate, sigma_px, options, lens_weight)
-    values = to_values(estimate, with_theta=options.refine_intrinsics)
+    values = _values(estimate, options)
     return Adjusted(estimate, sigma_px, screened, graph, values, errors, lens_weight)
 
 
@@ -131,11 +133,15 @@ def minimised(
     each iteration."""
     found = minimise(
         _graph(screened, estimate, sigma_px, options, lens_weight),
-        to_values(estimate, with_theta=options.refine_intrinsics),
+        _values(estimate, options),
         eps=options.eps,
         max_iterations=options.max_iterations,
     )
     return updated(estimate, found.values), found.errors
+
+
+def _values(estimate: Estimate, options: CalibrationOptions) -> gtsam.Values:
+    return to_values(estimate, with_theta=options.refine_intrinsics, with_shape=options.solves_board_shape)
 
 
 def _graph(
@@ -143,7 +149,12 @@ def _graph(
 ) -> gtsam.NonlinearFactorGraph:
     priors = intrinsics_priors(screened.views, options, lens_weight) if options.refine_intrinsics else None
     graph = reprojection_graph(
-        screened.views, estimate, sigma_px=sigma_px, robust=options.robust, intrinsics_priors=priors
+        screened.views,
+        estimate,
+        sigma_px=sigma_px,
+        robust=options.robust,
+        intrinsics_priors=priors,
+        shape_sigmas=shape_sigmas(screened.views, options, lens_weight),
     )
     add_user_priors(graph, screened.views, options)
     return graph
@@ -161,6 +172,15 @@ def intrinsics_priors(
 ) -> dict[str, IntrinsicsPrior]:
     """What the options say of each camera's intrinsics; of stated ones ``lens_weight`` times their information."""
     return {name: _prior(of_camera, options, lens_weight) for name, of_camera in views.items()}
+
+
+def shape_sigmas(
+    views: Mapping[str, Views], options: CalibrationOptions, lens_weight: float = 1.0
+) -> FloatArray | None:
+    """(5,) of the board's shape, with ``lens_weight`` times their information; None where it is not solved for."""
+    if not options.solves_board_shape:
+        return None
+    return np.asarray(next(iter(views.values())).shape_sigmas / np.sqrt(lens_weight))
 
 
 def _prior(views: Views, options: CalibrationOptions, lens_weight: float) -> IntrinsicsPrior:
@@ -191,12 +211,13 @@ def _settled(before_px: float, after_px: float, options: CalibrationOptions) -> 
 
 def joint_covariance(adjusted: Adjusted, kind: str) -> JointCovariance | None:
     """The marginal covariance at the solution, which is of this kind; None where the data leave a direction open."""
+    keys = [*joint_keys(adjusted), *([BOARD_SHAPE] if adjusted.values.exists(BOARD_SHAPE) else [])]
     try:
-        information = joint_information(adjusted.graph, adjusted.values, joint_keys(adjusted))
+        information = joint_information(adjusted.graph, adjusted.values, keys)
     except GtcalError:
         return None
     covariance = covariance_of(information)
-    return None if covariance is None else JointCovariance(kind, theta_sizes(adjusted), covariance)
+    return None if covariance is None else JointCovariance.of(kind, theta_sizes(adjusted), covariance)
 
 
 def theta_sizes(adjusted: Adjusted) -> dict[str, int]:

@@ -44,7 +44,7 @@ def clustered(
     if clusters(stamps_of(adjusted.screened.views), correlation_s)[-1] <= len(priors.information):
         return {}
     matrix = clustered_covariance(_parts(adjusted, options), priors, correlation_s)
-    return {CLUSTERED: JointCovariance(CLUSTERED, sizes, matrix)}
+    return {CLUSTERED: JointCovariance.of(CLUSTERED, sizes, matrix)}
 
 
 def by_one_factor(
@@ -57,7 +57,7 @@ def by_one_factor(
     root, gradients = sums.white_gradients(Priors.of(adjusted, options))
     factor = max(1.0, float(np.sum(gradients**2) / np.trace(root @ sums.information @ root.T)))
     known = Priors.of(adjusted, options, 1.0).information
-    return JointCovariance(CLUSTERED, sizes, scaled_inverse(sums.information / factor + known))
+    return JointCovariance.of(CLUSTERED, sizes, scaled_inverse(sums.information / factor + known))
 
 
 @dataclass(frozen=True)
@@ -86,6 +86,7 @@ def _parts(adjusted: Adjusted, options: CalibrationOptions) -> Iterator[FrameMom
         frames_of(adjusted.screened.views),
         sigma_px=adjusted.sigma_px,
         free_theta=options.refine_intrinsics,
+        free_shape=options.solves_board_shape,
         robust=options.robust,
     )
 
@@ -121,7 +122,12 @@ def by_noise_model(
     scatter as the mocap's noise, estimated from the same frames, says."""
     views, estimate = adjusted.screened.views, adjusted.estimate
     moments = frame_moments(
-        views, estimate, sigma_px=adjusted.sigma_px, free_theta=options.refine_intrinsics, robust=options.robust
+        views,
+        estimate,
+        sigma_px=adjusted.sigma_px,
+        free_theta=options.refine_intrinsics,
+        free_shape=options.solves_board_shape,
+        robust=options.robust,
     )
     priors = Priors.of(adjusted, options)
     of_data = moments.exact[:, :-1, :-1].sum(axis=0)
@@ -130,7 +136,7 @@ def by_noise_model(
     by_frame = np.swapaxes(L, 1, 2) @ moments.moments[:, :6, 6:-1]  # gradient of a unit of each frame's noise
     scatter = of_data + priors.scatter + _correlated_scatter(by_frame, noise.correlations(moments.stamps_ns))
     matrix = noise.small_sample_factor * inverse @ scatter @ inverse
-    return JointCovariance(CLUSTERED, sizes, 0.5 * (matrix + matrix.T))
+    return JointCovariance.of(CLUSTERED, sizes, 0.5 * (matrix + matrix.T))
 
 
 def _correlated_scatter(by_frame: FloatArray, rho: FloatArray) -> FloatArray:
@@ -159,7 +165,7 @@ def clusters(stamps_ns: IntArray, correlation_s: float) -> IntArray:
 
 
 def clustered_covariance(parts: Iterable[FrameMoments], priors: Priors, correlation_s: float) -> FloatArray:
-    """(P, P) covariance of stage 3's estimate, from the moments of all frames there, in parts one after the other.
+    """(P, P) covariance of stage 3's unknowns, from the moments of all frames there, in parts one after the other.
 
     Raises numpy.linalg.LinAlgError where the frames leave a direction open."""
     root, gradients = _Sums.of(parts, correlation_s).white_gradients(priors)

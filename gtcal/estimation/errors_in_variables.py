@@ -16,13 +16,22 @@ from dataclasses import dataclass, replace
 import gtsam
 import numpy as np
 
+from factors.board_shape import N_SHAPE
 from factors.frames import CameraFrames, FramesReprojection
 from factors.mocap_noise import CorrelatedNoiseFactor
 from gtcal.camera import BoolArray, FloatArray
-from gtcal.estimation.adjustment import Adjusted, add_user_priors, intrinsics_priors
+from gtcal.estimation.adjustment import Adjusted, add_user_priors, intrinsics_priors, shape_sigmas
 from gtcal.estimation.estimate import Estimate
 from gtcal.estimation.frame_statistics import FrameMoments, frame_moments, frames_of, in_parts
-from gtcal.estimation.graph import BODY_T_BOARD, camera_T_ref_key, theta_key, to_values, updated
+from gtcal.estimation.graph import (
+    BOARD_SHAPE,
+    BODY_T_BOARD,
+    camera_T_ref_key,
+    shape_prior,
+    theta_key,
+    to_values,
+    updated,
+)
 from gtcal.estimation.hold_out import HoldOut, hold_out
 from gtcal.estimation.many_frames import minimise_many_frames
 from gtcal.estimation.mocap_noise import (
@@ -119,6 +128,7 @@ def fit_mocap_noise(
         motion,
         sigma_px=sample.sigma_px,
         free_theta=options.refine_intrinsics,
+        free_shape=options.solves_board_shape,
         information=information,
         exact_information=prior_information(
             views, adjusted.estimate, options, of_stage_3.lens_weight * (of_stage_3.sigma_px / sample.sigma_px) ** 2
@@ -130,7 +140,14 @@ def fit_mocap_noise(
 def _moments(
     views: Mapping[str, Views], estimate: Estimate, options: CalibrationOptions, sigma_px: float, frames: IntArray
 ) -> FrameMoments:
-    return frame_moments(views, estimate, sigma_px=sigma_px, free_theta=options.refine_intrinsics, frames=frames)
+    return frame_moments(
+        views,
+        estimate,
+        sigma_px=sigma_px,
+        free_theta=options.refine_intrinsics,
+        free_shape=options.solves_board_shape,
+        frames=frames,
+    )
 
 
 def _gross_views(
@@ -139,7 +156,14 @@ def _gross_views(
     """By camera, the views of frames that the noise does not explain; empty where there are none."""
     views = adjusted.screened.views
     frames = frames_of(views)
-    parts = in_parts(views, adjusted.estimate, frames, sigma_px=sigma_px, free_theta=options.refine_intrinsics)
+    parts = in_parts(
+        views,
+        adjusted.estimate,
+        frames,
+        sigma_px=sigma_px,
+        free_theta=options.refine_intrinsics,
+        free_shape=options.solves_board_shape,
+    )
     gross = np.concatenate([gross_frames(part, noise.covariance(motion, part.stamps_ns)) for part in parts])
     if not gross.any():
         return {}
@@ -195,7 +219,7 @@ def shared_keys(views: Mapping[str, Views], options: CalibrationOptions) -> dict
     shared = dict.fromkeys((BODY_T_BOARD, *map(camera_T_ref_key, range(len(views)))), 6)
     if options.refine_intrinsics:
         shared |= {theta_key(c): of_camera.camera.model.n_parameters for c, of_camera in enumerate(views.values())}
-    return shared
+    return shared | ({BOARD_SHAPE: N_SHAPE} if options.solves_board_shape else {})
 
 
 def whiteness(freed: Adjusted, fit: MocapNoiseFit, motion: RefMotion, options: CalibrationOptions) -> Whiteness:
@@ -216,7 +240,7 @@ def _problem(
     stamps_ns = np.array([views[name].stamps_ns[row] for name, row in where])
     measured = np.stack([views[name].ref_T_body[row] for name, row in where])
     keys = [ref_T_body_key(int(frame)) for frame in frames]
-    values = to_values(estimate, with_theta=options.refine_intrinsics)
+    values = to_values(estimate, with_theta=options.refine_intrinsics, with_shape=options.solves_board_shape)
     for key, pose in zip(keys, measured, strict=True):
         values.insert(key, gtsam.Pose3(pose))
     graph = gtsam.NonlinearFactorGraph()
@@ -230,7 +254,13 @@ def _problem(
         )
         for index, (name, of_camera) in enumerate(views.items())
     ]
-    reprojection = FramesReprojection(cameras, ref_T_body=keys, body_T_board=BODY_T_BOARD, robust=options.robust)
+    reprojection = FramesReprojection(
+        cameras,
+        ref_T_body=keys,
+        body_T_board=BODY_T_BOARD,
+        shape=BOARD_SHAPE if options.solves_board_shape else estimate.board_shape,
+        robust=options.robust,
+    )
     for factor in reprojection.factors:
         graph.add(factor)
     _add_mocap(graph, keys, measured, fit.noise.covariance(motion, stamps_ns), fit.noise.correlations(stamps_ns))
@@ -261,6 +291,9 @@ def _priors(
     if options.refine_intrinsics:
         for index, (name, prior) in enumerate(intrinsics_priors(views, options, lens_weight).items()):
             graph.add(prior.factor(theta_key(index), views[name].camera))
+    sigmas = shape_sigmas(views, options, lens_weight)
+    if sigmas is not None:
+        graph.add(shape_prior(sigmas))
     add_user_priors(graph, views, options)
     return graph
 
@@ -268,18 +301,20 @@ def _priors(
 def prior_information(
     views: Mapping[str, Views], estimate: Estimate, options: CalibrationOptions, lens_weight: float = 1.0
 ) -> FloatArray:
-    """(P + 1, P + 1) [J r]^T [J r] of the priors at the estimate; columns X, Y_c, theta_c, and the residual. Those of
-    stated intrinsics count ``lens_weight`` times."""
-    values = to_values(estimate, with_theta=options.refine_intrinsics)
+    """(P + 1, P + 1) [J r]^T [J r] of the priors at the estimate; columns X, Y_c, theta_c, the board's shape, and the
+    residual. Those of stated intrinsics and of the shape count ``lens_weight`` times."""
+    values = to_values(estimate, with_theta=options.refine_intrinsics, with_shape=options.solves_board_shape)
     priors = _priors(views, options, lens_weight)
     linear = priors.linearize(values)
     cameras = range(len(views))
     keys = [BODY_T_BOARD, *map(camera_T_ref_key, cameras)]
     keys += [theta_key(index) for index in cameras if options.refine_intrinsics]
+    keys += [BOARD_SHAPE] if options.solves_board_shape else []
+    sizes = shared_keys(views, options)
     ordering = gtsam.Ordering()
     for key in keys:
         ordering.push_back(key)
-        size = values.atVector(key).size if gtsam.symbolChr(key) == ord("k") else 6
+        size = sizes[key]
         linear.add(gtsam.JacobianFactor(key, np.zeros((1, size)), np.zeros(1), gtsam.noiseModel.Unit.Create(1)))
     hessian, descent = linear.hessian(ordering)
     square = np.array([[2.0 * priors.error(values)]])

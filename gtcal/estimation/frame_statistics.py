@@ -1,8 +1,8 @@
 """What each frame says, as sums; and the sums of many frames with the mocap's noise integrated out.
 
 To first order in the unknowns, all that the corners of frame f say is in its moments [J r]^T [J r], in the tangents of
-A_f, of X, of every Y_c and theta_c. Stage 4's noise model, its hold-out error and the frame-clustered covariance are
-computed from them; GTSAM's estimates are not.
+A_f, of X, of every Y_c and theta_c, and of the board's shape. Stage 4's noise model, its hold-out error and the
+frame-clustered covariance are computed from them; GTSAM's estimates are not.
 
 The mocap's noise of frame f is xi_f = L_f z_f with z_f of unit covariance, and correlated from frame to frame as a
 first-order process: z_{f+1} = rho_f z_f + sqrt(1 - rho_f^2) w. Eliminating the z_f in order of time (an information
@@ -18,6 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from factors import GAUSSIAN, RobustKernel
+from factors.board_shape import N_SHAPE
 from factors.kernel import kernel
 from factors.moments import chain, transport_view
 from factors.reprojection import view_moments
@@ -39,8 +40,8 @@ class FrameMoments:
     """The moments of n frames.
 
     frame_index: (n,) increasing, as in ``Views.frame_index``. stamps_ns: (n,).
-    moments: (n, D, D) symmetric, whitened by sigma_px; columns A_f (6), then the P of a JointCovariance (X, Y_c,
-        theta_c), then the residual.
+    moments: (n, D, D) symmetric, whitened by sigma_px; columns A_f (6), then the P unknowns: those of a JointCovariance
+        (X, Y_c, theta_c) and, where it is free, the board's shape (5); then the residual.
     sigma_px: the standard deviation of a pixel coordinate that they are whitened by.
     within_square, within_dof: what is left of the whitened squares when each view has a pose of its own, and its
         degrees of freedom."""
@@ -99,17 +100,19 @@ def _add_views(
     body_T_board: FloatArray,
     first_pose_column: int,
     first_theta_column: int,
+    n_shape: int,
     total: FloatArray,
 ) -> None:
     """Add the moments (V, d, d) of a camera's views to those of their frames, both triangles."""
-    n_theta, last = by_view.shape[1] - 7, total.shape[1] - 1
-    column = np.empty(19 + n_theta, dtype=np.int64)
+    n_theta, last = by_view.shape[1] - 7 - n_shape, total.shape[1] - 1
+    column = np.empty(19 + n_theta + n_shape, dtype=np.int64)
     for j in range(6):
         column[j], column[6 + j], column[12 + j] = first_pose_column + j, j, 6 + j
     for j in range(n_theta):
         column[18 + j] = first_theta_column + j
-    column[18 + n_theta] = last
-    local = np.empty((19 + n_theta, 19 + n_theta))
+    for j in range(n_shape + 1):
+        column[18 + n_theta + j] = last - n_shape + j
+    local = np.empty((len(column), len(column)))
     for v in range(len(by_view)):
         local[:] = 0.0
         transport_view(by_view[v], ref_T_body[v], body_T_board, True, local)
@@ -127,6 +130,7 @@ def frame_moments(
     *,
     sigma_px: float,
     free_theta: bool,
+    free_shape: bool = False,
     frames: IntArray | None = None,
     robust: RobustKernel = GAUSSIAN,
 ) -> FrameMoments:
@@ -136,7 +140,8 @@ def frame_moments(
         moves is no outlier."""
     stamps, index = _frames(views) if frames is None else _frames(_of_frames(views, frames))
     sizes = [of_camera.camera.model.n_parameters * free_theta for of_camera in views.values()]
-    n_columns = 13 + 6 * len(sizes) + sum(sizes)
+    n_shape = N_SHAPE * free_shape
+    n_columns = 13 + 6 * len(sizes) + sum(sizes) + n_shape
     total = np.zeros((len(index), n_columns, n_columns))
     square, dof = 0.0, 0
     for c, (name, all_views) in enumerate(views.items()):
@@ -149,12 +154,14 @@ def frame_moments(
             chain(*poses),
             of_camera.camera.model,
             estimate.theta[name],
+            estimate.board_shape,
             with_theta=free_theta,
+            with_shape=free_shape,
             robust=robust,
         )
         row = np.searchsorted(index, of_camera.frame_index)
         theta_column = 12 + 6 * len(sizes) + sum(sizes[:c])
-        _add_views(found.moments, row, *poses[1:], 12 + 6 * c, theta_column, total)
+        _add_views(found.moments, row, *poses[1:], 12 + 6 * c, theta_column, n_shape, total)
         square += float(_within_views(found.moments).sum())
         dof += 2 * of_camera.n_corners - 6 * of_camera.n_views
     return FrameMoments(index, stamps, total, sigma_px, square, dof)
@@ -167,11 +174,20 @@ def in_parts(
     *,
     sigma_px: float,
     free_theta: bool,
+    free_shape: bool = False,
     robust: RobustKernel = GAUSSIAN,
 ) -> Iterator[FrameMoments]:
     """The moments of the frames at ``frames``, increasing, a few hundred at a time: a frame's take up to 60 kB."""
     for part in np.array_split(frames, -(-len(frames) // _MOST_AT_ONCE)):
-        yield frame_moments(views, estimate, sigma_px=sigma_px, free_theta=free_theta, frames=part, robust=robust)
+        yield frame_moments(
+            views,
+            estimate,
+            sigma_px=sigma_px,
+            free_theta=free_theta,
+            free_shape=free_shape,
+            frames=part,
+            robust=robust,
+        )
 
 
 def frames_of(views: Mapping[str, Views]) -> IntArray:

@@ -15,6 +15,7 @@ from factors import (
     factory_intrinsics_prior,
     weak_intrinsics_prior,
 )
+from factors.board_shape import FLAT
 from gtcal.camera import Camera, FloatArray
 from gtcal.estimation.estimate import Estimate
 from gtcal.estimation.observations import Views
@@ -22,6 +23,10 @@ from gtcal.estimation.residuals import corner_views
 
 BODY_T_BOARD: int = gtsam.symbol("x", 0)
 """Key of X."""
+
+
+BOARD_SHAPE: int = gtsam.symbol("s", 0)
+"""Key of the board's shape, where it is a variable."""
 
 
 def camera_T_ref_key(camera_index: int) -> int:
@@ -36,14 +41,16 @@ def theta_key(camera_index: int) -> int:
     return key
 
 
-def to_values(estimate: Estimate, *, with_theta: bool) -> gtsam.Values:
-    """The estimate as GTSAM's values; the intrinsics among them where they are variables."""
+def to_values(estimate: Estimate, *, with_theta: bool, with_shape: bool = False) -> gtsam.Values:
+    """The estimate as GTSAM's values; the intrinsics and the board's shape among them where they are variables."""
     values = gtsam.Values()
     values.insert(BODY_T_BOARD, gtsam.Pose3(estimate.body_T_board))
     for index, (name, pose) in enumerate(estimate.camera_T_ref.items()):
         values.insert(camera_T_ref_key(index), gtsam.Pose3(pose))
         if with_theta:
             values.insert(theta_key(index), estimate.theta[name])
+    if with_shape:
+        values.insert(BOARD_SHAPE, estimate.board_shape)
     return values
 
 
@@ -54,7 +61,8 @@ def updated(estimate: Estimate, values: gtsam.Values) -> Estimate:
         camera_T_ref[name] = values.atPose3(camera_T_ref_key(index)).matrix()
         free = values.exists(theta_key(index))
         theta[name] = values.atVector(theta_key(index)) if free else estimate.theta[name]
-    return Estimate(values.atPose3(BODY_T_BOARD).matrix(), camera_T_ref, theta)
+    shape = values.atVector(BOARD_SHAPE) if values.exists(BOARD_SHAPE) else estimate.board_shape
+    return Estimate(values.atPose3(BODY_T_BOARD).matrix(), camera_T_ref, theta, shape)
 
 
 @dataclass(frozen=True)
@@ -102,8 +110,10 @@ def reprojection_graph(
     sigma_px: float,
     robust: RobustKernel,
     intrinsics_priors: Mapping[str, IntrinsicsPrior] | None,
+    shape_sigmas: FloatArray | None = None,
 ) -> gtsam.NonlinearFactorGraph:
-    """One fused factor per camera; with ``intrinsics_priors`` by camera, the intrinsics are variables."""
+    """One fused factor per camera; with ``intrinsics_priors`` by camera, the intrinsics are variables; with
+    ``shape_sigmas`` (5,), the board's shape is one, near that of a flat board as stated."""
     graph = gtsam.NonlinearFactorGraph()
     for index, (name, of_camera) in enumerate(views.items()):
         graph.add(
@@ -114,12 +124,20 @@ def reprojection_graph(
                 model=of_camera.camera.model,
                 ref_T_body=of_camera.ref_T_body,
                 theta=theta_key(index) if intrinsics_priors is not None else estimate.theta[name],
+                shape=BOARD_SHAPE if shape_sigmas is not None else estimate.board_shape,
                 robust=robust,
             )
         )
         if intrinsics_priors is not None:
             graph.add(intrinsics_priors[name].factor(theta_key(index), of_camera.camera))
+    if shape_sigmas is not None:
+        graph.add(shape_prior(shape_sigmas))
     return graph
+
+
+def shape_prior(sigmas: FloatArray) -> gtsam.NonlinearFactor:
+    """That the board is flat and as stated, within sigmas (5,)."""
+    return gtsam.PriorFactorVector(BOARD_SHAPE, FLAT, gtsam.noiseModel.Diagonal.Sigmas(sigmas))
 
 
 _LARGEST_DAMPING = 1e9

@@ -90,6 +90,7 @@ def hold_out(
     *,
     sigma_px: float,
     free_theta: bool,
+    free_shape: bool = False,
     information: FloatArray,
     exact_information: FloatArray,
 ) -> HoldOut:
@@ -99,7 +100,9 @@ def hold_out(
     blocks, frames = [], frames_of(views)
     for block in np.array_split(frames, min(FOLDS, len(frames))):
         exact, noisy = np.zeros_like(information), np.zeros_like(information)
-        for moments in in_parts(views, estimate, block, sigma_px=sigma_px, free_theta=free_theta):
+        for moments in in_parts(
+            views, estimate, block, sigma_px=sigma_px, free_theta=free_theta, free_shape=free_shape
+        ):
             covariance = noise.covariance(motion, moments.stamps_ns)
             rho = noise.correlations(moments.stamps_ns)
             eliminate_noise(moments.moments, lower_factors(covariance), rho, noisy)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from factors.board_shape import outline_of
 from gtcal.board import Board
 from gtcal.camera import BoolArray, Camera, FloatArray
 from gtcal.errors import GtcalError
@@ -24,13 +25,16 @@ class Views(ViewRows):
 
     frame_index: (V,) the view's place in ``Observations.frame_stamps_ns``: views of one frame share ref_T_body.
     ref_T_body: (V, 4, 4) by the mocap.
-    corners_m: (N, 3) the corners in the board frame.
+    corners_m: (N, 3) the corners in the board frame, as stated. outline_m: (4,) of the board, and shape_sigmas: (5,)
+        1-sigma of its shape beforehand, both as in ``factors.board_shape``.
     """
 
     camera: Camera
     frame_index: IntArray
     ref_T_body: FloatArray
     corners_m: FloatArray
+    outline_m: FloatArray
+    shape_sigmas: FloatArray
 
 
 @dataclass(frozen=True)
@@ -97,6 +101,7 @@ def synchronise(recording: Recording, *, min_corners: int = 4) -> Observations:
 
 
 def _views(recording: Recording, name: str, detections: CameraDetections, frame_stamps_ns: IntArray) -> Views:
+    outline_m = outline_of(recording.board.corners_m)
     return Views(
         camera=recording.cameras[name],
         stamps_ns=detections.stamps_ns,
@@ -106,6 +111,8 @@ def _views(recording: Recording, name: str, detections: CameraDetections, frame_
         corner_ids=detections.corner_ids,
         corners_m=recording.board.corners_m[detections.corner_ids],
         corners_px=detections.corners_px,
+        outline_m=outline_m,
+        shape_sigmas=recording.board_tolerance.shape_sigmas(outline_m),
     )
 
 

@@ -21,6 +21,10 @@ What the recording states is not used by these two."""
 
 IntrinsicsPrior = Literal["weak", "stated"]
 
+BoardMode = Literal["auto", "exact"]
+"""auto: where intrinsics are solved for, so is the board's shape (its scale, stretch, bow and twist), near a flat board
+as stated, by the tolerance that the recording states or that of a printed board. exact: flat and as stated."""
+
 MocapMode = Literal["estimate", "exact"]
 
 SegmentsMode = Literal["none", "auto"]
@@ -62,6 +66,7 @@ class CalibrationOptions:
     focal_sigma_px, centre_sigma_px, distortion_sigma: of all cameras' stated intrinsics; None for those that the
         recording states with them, and where it states none, those of a factory's calibration
         (``gtcal.estimation.lens_sigmas``).
+    board: see ``BoardMode``.
     robust: kernel of stage 3, on the whitened norm of each corner.
     sigma_px: standard deviation of a pixel coordinate; None to estimate it from the residuals.
     mocap: what stage 4 takes for the mocap's noise: 'estimate' it from the recording, or the sigmas that are given;
@@ -89,6 +94,7 @@ class CalibrationOptions:
     focal_sigma_px: float | None = None
     centre_sigma_px: float | None = None
     distortion_sigma: float | None = None
+    board: BoardMode = "auto"
     robust: RobustKernel = field(default=GAUSSIAN)
     sigma_px: float | None = None
     mocap: MocapSigmas | MocapMode = "estimate"
@@ -113,6 +119,7 @@ class CalibrationOptions:
         modes = {
             "intrinsics": IntrinsicsMode,
             "intrinsics_prior": IntrinsicsPrior,
+            "board": BoardMode,
             "clock": ClockMode,
             "segments": SegmentsMode,
             "sweep": SweepMode,
@@ -152,6 +159,11 @@ class CalibrationOptions:
     def refine_intrinsics(self) -> bool:
         """Whether the intrinsics are solved for jointly with the extrinsics."""
         return self.intrinsics not in ("exact", "fixed") and 3 in self.stages
+
+    @property
+    def solves_board_shape(self) -> bool:
+        """Whether the board's shape is solved for jointly with the extrinsics and intrinsics."""
+        return self.board == "auto" and self.trusts_stated_intrinsics
 
     @property
     def trusts_stated_intrinsics(self) -> bool:

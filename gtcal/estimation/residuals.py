@@ -18,14 +18,14 @@ from gtcal.recordings.detections import IntArray
 
 def corner_views(views: Views, sigma_px: float = 1.0) -> CornerViews:
     """The views as the factors know them."""
-    return CornerViews(views.view_start, views.corners_m, views.corners_px, sigma_px)
+    return CornerViews(views.view_start, views.corners_m, views.corners_px, sigma_px, views.outline_m)
 
 
 def chain_residuals_px(views: Views, estimate: Estimate) -> FloatArray:
     """Projection through the chain less measurement, (N, 2); NaN where a corner has no pixel."""
     name, model = views.camera.name, views.camera.model
     camera_T_board = chain(estimate.camera_T_ref[name], views.ref_T_body, estimate.body_T_board)
-    return _residuals_px(corner_views(views), camera_T_board, model, estimate.theta[name])
+    return _residuals_px(corner_views(views), camera_T_board, model, estimate.theta[name], estimate.board_shape)
 
 
 def residual_norms_px(views: Views, camera_T_board: FloatArray) -> FloatArray:

@@ -28,6 +28,7 @@ from gtcal.estimation.residuals import chain_residuals_px, median_by_view, norms
 from gtcal.files import InputFile
 from gtcal.progress import Progress, silent
 from gtcal.recordings.detections import IntArray
+from gtcal.results.board_shape import BoardShape
 from gtcal.results.calibration import (
     Calibration,
     CameraCalibration,
@@ -109,11 +110,13 @@ def calibrate_observations(
     later += found.reports
     final = adjusted.estimate
     moved = _lens_moves(observations, final, sigmas, options)
+    shape = _board_shape(views, final, sigmas)
     return Calibration(
         capture=observations.capture,
         cameras={name: _camera(of_camera, adjusted, sigmas, moved.get(name, ())) for name, of_camera in views.items()},
         body_T_board=PoseEstimate(final.body_T_board, sigmas.body_T_board if sigmas else None),
         board=observations.board.to_manifest(),
+        board_shape=shape,
         sigma_px=adjusted.sigma_px,
         covariance_kind=found.kind,
         covariances=found.covariances,
@@ -124,6 +127,7 @@ def calibrate_observations(
         warnings=(
             *_warnings(observations, adjusted, sigmas, options),
             *lens_warnings({name: of_camera.camera for name, of_camera in views.items()}, moved),
+            *(shape.warnings if shape is not None else ()),
             *_gross_warnings(found.dropped, observations),
             *fit_warnings((*reports, *later), found.noise),
         ),
@@ -443,6 +447,12 @@ def _lens_moves(
         return lens_moves(cameras, estimate, sigmas, options)
     except np.linalg.LinAlgError:
         return {}
+
+
+def _board_shape(views: Mapping[str, Views], estimate: Estimate, sigmas: JointCovariance | None) -> BoardShape | None:
+    if sigmas is None or sigmas.board_shape is None:
+        return None
+    return BoardShape(estimate.board_shape, sigmas.board_shape, next(iter(views.values())).shape_sigmas)
 
 
 def _camera(

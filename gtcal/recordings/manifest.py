@@ -23,6 +23,7 @@ from pydantic_core import ErrorDetails, PydanticCustomError
 
 from factors import CAMERA_MODELS
 from gtcal.board import board_manifest_schema
+from gtcal.board_tolerance import with_tolerance_schema
 from gtcal.bounds import LARGEST_LENS, LARGEST_SIDE_PX, LARGEST_STAMP_NS
 from gtcal.camera import StampedRow
 from gtcal.camera_files.formats import CAMERA_FILE_READERS
@@ -259,8 +260,9 @@ class Manifest(Entry):
         description="fixed_cameras: fixed cameras, tracked board. tracked_platform: cameras on a tracked platform "
         "(headset, rig), tracked board. standing_board: tracked platform, untracked board that stands still."
     )
-    board: Annotated[dict[str, Any], WithJsonSchema(board_manifest_schema())] = Field(
-        description="The board: a preset, or a type and its fields."
+    board: Annotated[dict[str, Any], WithJsonSchema(with_tolerance_schema(board_manifest_schema()))] = Field(
+        description="The board: a preset, or a type and its fields; scale_sigma (1-sigma of its size, a share) and "
+        "flatness_mm (1-sigma of bow and twist) say how near to that it is, else it counts as printed and glued."
     )
     layout: LayoutName | None = Field(default=None, description=LAYOUT_DESCRIPTION)
     cameras: dict[CameraName, CameraEntry] = Field(min_length=1, description="The cameras by name.")

@@ -11,6 +11,7 @@ import numpy as np
 
 from factors import CAMERA_MODELS, CameraModel
 from gtcal.board import Board, board_from_manifest
+from gtcal.board_tolerance import BoardTolerance, tolerance_of
 from gtcal.camera import Camera, FloatArray, RollingShutter
 from gtcal.camera_files.formats import read_rig
 from gtcal.camera_files.rig import ReadOptions, Rig, RigCamera, agreeing
@@ -60,6 +61,7 @@ class Recording:
     platform, board_body: the trajectories that ``capture`` needs, the other None.
     max_gap_s: the longest gap in a trajectory to interpolate across; None for each trajectory's own default.
     inputs: the files that it was read from, images excepted.
+    board_tolerance: how near the board is to what is stated of it.
     Raises GtcalError where a camera has neither images nor detections, detections or images belong to no camera,
     or the trajectories are not those of the capture.
     """
@@ -74,6 +76,7 @@ class Recording:
     board_body: Trajectory | None = None
     max_gap_s: float | None = None
     inputs: tuple[InputFile, ...] = ()
+    board_tolerance: BoardTolerance = field(default_factory=BoardTolerance)
 
     def __post_init__(self) -> None:
         for what, owners in (("detections", self.detections), ("images", self.images)):
@@ -138,6 +141,7 @@ def recording_of(manifest_path: Path, manifest: Manifest) -> Recording:
         board_body=trajectories.get("board_body"),
         max_gap_s=None if manifest.max_gap_ms is None else manifest.max_gap_ms / 1000,
         inputs=tuple(fingerprint(file) for file in loader.used),
+        board_tolerance=loader.board_tolerance(manifest.board),
     )
 
 
@@ -180,7 +184,14 @@ class Loader:
 
     def board(self, block: dict[str, object]) -> Board:
         try:
-            return board_from_manifest(block)
+            return board_from_manifest(tolerance_of(block)[0])
+        except GtcalError as error:
+            raise self.error("board", str(error)) from None
+
+    def board_tolerance(self, block: dict[str, object]) -> BoardTolerance:
+        """How near to the stated board the printed one is known to be."""
+        try:
+            return tolerance_of(block)[1]
         except GtcalError as error:
             raise self.error("board", str(error)) from None
 

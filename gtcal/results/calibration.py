@@ -8,6 +8,7 @@ import gtsam
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from factors.board_shape import FLAT
 from factors.rigid import inverse
 from gtcal.camera import Camera, FloatArray
 from gtcal.estimation.estimate import Estimate
@@ -15,6 +16,7 @@ from gtcal.estimation.observations import Dropped, Views
 from gtcal.files import InputFile
 from gtcal.recordings.capture import Capture
 from gtcal.recordings.detections import IntArray
+from gtcal.results.board_shape import BoardShape
 from gtcal.results.covariance import JointCovariance
 from gtcal.results.effect_finding import EffectFinding
 from gtcal.results.lens_move import LensMove
@@ -283,6 +285,7 @@ class Calibration:
         would move a camera.
     segments: where it was calibrated in stretches between changes, those, in order of time; cameras and body_T_board
         are those of the first.
+    board_shape: None where the board was taken as flat and as stated.
     solution: None where the calibration was read from a file."""
 
     capture: Capture
@@ -301,6 +304,7 @@ class Calibration:
     clock: Clock | None = None
     effects: tuple[EffectFinding, ...] = ()
     segments: tuple[Segment, ...] = ()
+    board_shape: BoardShape | None = None
     solution: Solution | None = field(default=None, compare=False, repr=False)
 
     @property
@@ -333,6 +337,7 @@ class Calibration:
             self.body_T_board.a_T_b,
             {name: camera.camera_T_ref.a_T_b for name, camera in self.cameras.items()},
             {name: camera.camera.theta for name, camera in self.cameras.items()},
+            FLAT if self.board_shape is None else self.board_shape.shape,
         )
 
     @property

@@ -16,6 +16,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from factors import CAMERA_MODELS
+from factors.board_shape import FLAT, N_SHAPE, SHAPE_NAMES
 from gtcal.bounds import LARGEST_LENS, LARGEST_SIDE_PX
 from gtcal.camera import Camera, FloatArray, RollingShutter
 from gtcal.estimation.estimate import Estimate
@@ -24,6 +25,7 @@ from gtcal.files import InputFile, write_text
 from gtcal.names import named
 from gtcal.recordings.capture import Capture
 from gtcal.recordings.trajectory import quaternions_from_poses
+from gtcal.results.board_shape import BoardShape
 from gtcal.results.calibration import (
     Calibration,
     CameraCalibration,
@@ -70,6 +72,7 @@ def _document(calibration: Calibration) -> dict[str, Any]:
         "conventions": CONVENTIONS,
         "capture": calibration.capture.value,
         "board": calibration.board,
+        "board_shape": _shape_document(calibration.board_shape),
         "rmse_px": calibration.rmse_px,
         "sigma_px": calibration.sigma_px,
         "covariance_kind": calibration.covariance_kind,
@@ -114,6 +117,18 @@ def _board_document(pose: PoseEstimate) -> dict[str, Any]:
     return _pose_document(pose) | {"position_of_board_in_body_sigma_mm": _list(pose.position_of_b_in_a_sigma_mm)}
 
 
+def _shape_document(found: BoardShape | None) -> dict[str, Any] | None:
+    if found is None:
+        return None
+    sigmas = np.sqrt(np.diag(found.covariance))
+    return {
+        "shape": dict(zip(SHAPE_NAMES, found.shape.tolist(), strict=True)),
+        "sigmas": dict(zip(SHAPE_NAMES, sigmas.tolist(), strict=True)),
+        "stated_sigmas": dict(zip(SHAPE_NAMES, found.stated_sigmas.tolist(), strict=True)),
+        "covariance": found.covariance.tolist(),
+    }
+
+
 def _pose_document(pose: PoseEstimate) -> dict[str, Any]:
     quat_wxyz = quaternions_from_poses(pose.a_T_b[None], "wxyz")[0]
     return {
@@ -132,7 +147,11 @@ def provenance_document(provenance: Provenance) -> dict[str, Any]:
 
 def _covariance_document(joint: JointCovariance) -> dict[str, Any]:
     """Of X, each Y_c, then each theta_c that was solved for."""
-    return {"theta_sizes": joint.theta_sizes, "matrix": joint.matrix.tolist()}
+    return {
+        "theta_sizes": joint.theta_sizes,
+        "matrix": joint.matrix.tolist(),
+        "board_shape": _list(joint.board_shape),
+    }
 
 
 def _segment_document(segment: Segment) -> dict[str, Any]:
@@ -150,7 +169,11 @@ def _estimate_document(estimate: Estimate) -> dict[str, Any]:
         name: {"camera_T_ref": pose.tolist(), "theta": estimate.theta[name].tolist()}
         for name, pose in estimate.camera_T_ref.items()
     }
-    return {"body_T_board": estimate.body_T_board.tolist(), "cameras": cameras}
+    return {
+        "body_T_board": estimate.body_T_board.tolist(),
+        "cameras": cameras,
+        "board_shape": estimate.board_shape.tolist(),
+    }
 
 
 def _mocap_noise_document(noise: MocapNoise | None) -> dict[str, Any] | None:
@@ -174,6 +197,7 @@ def _calibration(document: Mapping[str, Any]) -> Calibration:
         cameras={named(name): _camera(name, block) for name, block in document["cameras"].items()},
         body_T_board=_pose(document["body_T_board"]),
         board=document["board"],
+        board_shape=_shape(document.get("board_shape")),
         sigma_px=float(document["sigma_px"]),
         covariance_kind=document["covariance_kind"],
         covariances={kind: _joint_covariance(kind, block) for kind, block in document["covariances"].items()},
@@ -218,12 +242,23 @@ def _pose(block: Mapping[str, Any]) -> PoseEstimate:
     return PoseEstimate(matrix, _array(block["covariance"], (6, 6)))
 
 
+def _shape(block: Mapping[str, Any] | None) -> BoardShape | None:
+    if block is None:
+        return None
+    covariance = _array(block["covariance"], (N_SHAPE, N_SHAPE))
+    if covariance is None:
+        raise ValueError("board_shape.covariance is null")
+    shape, stated = (np.array([float(block[key][name]) for name in SHAPE_NAMES]) for key in ("shape", "stated_sigmas"))
+    return BoardShape(shape, covariance, stated)
+
+
 def _estimate(block: Mapping[str, Any]) -> Estimate:
     cameras = block["cameras"]
     return Estimate(
         np.array(block["body_T_board"], dtype=np.float64),
         {name: np.array(camera["camera_T_ref"], dtype=np.float64) for name, camera in cameras.items()},
         {name: np.array(camera["theta"], dtype=np.float64) for name, camera in cameras.items()},
+        np.array(block.get("board_shape", FLAT), dtype=np.float64),
     )
 
 
@@ -246,7 +281,8 @@ def _segment(block: Mapping[str, Any]) -> Segment:
 
 
 def _joint_covariance(kind: str, block: Mapping[str, Any]) -> JointCovariance:
-    return JointCovariance(kind, dict(block["theta_sizes"]), np.array(block["matrix"], dtype=np.float64))
+    matrix, shape = np.array(block["matrix"], dtype=np.float64), block.get("board_shape")
+    return JointCovariance(kind, dict(block["theta_sizes"]), matrix, _array(shape, (N_SHAPE, N_SHAPE)))
 
 
 def _array(rows: Any, shape: tuple[int, ...]) -> FloatArray | None:

@@ -24,21 +24,30 @@ class JointCovariance:
     kind: NAIVE, CLUSTERED or ERRORS_IN_VARIABLES.
     theta_sizes: by camera, in the order of the recording, the number of its intrinsics; 0 where they were fixed.
     matrix: (P, P); columns X (6), Y_c (6) of each camera, then theta_c of each camera.
+    board_shape: (5, 5) of the board's shape, where it was solved for.
 
     Raises ValueError where the matrix has another size."""
 
     kind: str
     theta_sizes: dict[str, int]
     matrix: FloatArray
+    board_shape: FloatArray | None = None
 
     def __post_init__(self) -> None:
         n = 6 + 6 * len(self.theta_sizes) + sum(self.theta_sizes.values())
         if self.matrix.shape != (n, n):
             raise ValueError(f"{self.matrix.shape=}, expected ({n}, {n})")
 
+    @staticmethod
+    def of(kind: str, theta_sizes: dict[str, int], matrix: FloatArray) -> JointCovariance:
+        """Of a matrix that may have the board's shape after these unknowns."""
+        n = 6 + 6 * len(theta_sizes) + sum(theta_sizes.values())
+        return JointCovariance(kind, theta_sizes, matrix[:n, :n], matrix[n:, n:] if len(matrix) > n else None)
+
     def times(self, factor: float) -> JointCovariance:
         """All of it larger by a factor."""
-        return replace(self, matrix=factor * self.matrix)
+        shape = None if self.board_shape is None else factor * self.board_shape
+        return replace(self, matrix=factor * self.matrix, board_shape=shape)
 
     @property
     def columns_of_body_T_board(self) -> slice:
