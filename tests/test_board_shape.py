@@ -115,5 +115,5 @@ def test_its_tolerance_is_read_from_the_board_block() -> None:
 
 @pytest.mark.parametrize("value", [0.0, -1, "0.1", True, float("nan"), float("inf")])
 def test_a_tolerance_that_is_none_is_refused(value: object) -> None:
-    with pytest.raises(GtcalError, match="flatness_mm: .* is not a positive number"):
+    with pytest.raises(GtcalError, match=r"flatness_mm: .* is not a positive number"):
         tolerance_of({"flatness_mm": value})

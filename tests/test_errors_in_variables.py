@@ -99,8 +99,8 @@ def test_where_the_mocap_is_taken_as_exact_the_frames_are_clustered():
 
 
 def test_a_systematic_error_is_not_taken_for_noise():
-    """A mocap volume that is 1 % too large: what noise would explain comes back at every place. Where the board's size is
-    unknown too, it is that which is wrong by as much, and said to be."""
+    """A mocap volume that is 1 % too large: what noise would explain comes back at every place. Where the board's size
+    is unknown too, it is that which is wrong by as much, and said to be."""
     simulated = simulation(0, Capture.STANDING_BOARD)
     platform = simulated.recording.platform
     stretched = platform.world_T_body.copy()
