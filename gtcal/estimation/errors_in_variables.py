@@ -264,7 +264,7 @@ def _problem(
     for factor in reprojection.factors:
         graph.add(factor)
     _add_mocap(graph, keys, measured, fit.noise.covariance(motion, stamps_ns), fit.noise.correlations(stamps_ns))
-    graph.push_back(_priors(views, options))
+    graph.push_back(priors_graph(views, options))
     return graph, values
 
 
@@ -284,9 +284,10 @@ def _add_mocap(
             )
 
 
-def _priors(
+def priors_graph(
     views: Mapping[str, Views], options: CalibrationOptions, lens_weight: float = 1.0
 ) -> gtsam.NonlinearFactorGraph:
+    """A factor for each thing that is known beforehand."""
     graph = gtsam.NonlinearFactorGraph()
     if options.refine_intrinsics:
         for index, (name, prior) in enumerate(intrinsics_priors(views, options, lens_weight).items()):
@@ -304,7 +305,7 @@ def prior_information(
     """(P + 1, P + 1) [J r]^T [J r] of the priors at the estimate; columns X, Y_c, theta_c, the board's shape, and the
     residual. Those of stated intrinsics and of the shape count ``lens_weight`` times."""
     values = to_values(estimate, with_theta=options.refine_intrinsics, with_shape=options.solves_board_shape)
-    priors = _priors(views, options, lens_weight)
+    priors = priors_graph(views, options, lens_weight)
     linear = priors.linearize(values)
     cameras = range(len(views))
     keys = [BODY_T_BOARD, *map(camera_T_ref_key, cameras)]

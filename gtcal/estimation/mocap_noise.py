@@ -110,10 +110,14 @@ def spread_blocks(frames: IntArray) -> IntArray:
 
 @dataclass(frozen=True)
 class NoiseBases:
-    """What a unit of each noise does to ref_T_body at N times: (N, 6, 6) each, by tracked body, and for the jitter."""
+    """What a unit of each noise does to ref_T_body at N times: (N, 6, 6) each, by tracked body, and for the jitter.
+
+    carried: by tracked body, what takes an error in the body's own frame to one of ref_T_body; (1, 6, 6) where that is
+        the same at all times."""
 
     motion: RefMotion
     stamps_ns: IntArray
+    carried: dict[str, FloatArray]
     translation: dict[str, FloatArray]
     rotation: dict[str, FloatArray]
     jitter: FloatArray
@@ -122,9 +126,10 @@ class NoiseBases:
     def of(motion: RefMotion, stamps_ns: IntArray) -> NoiseBases:
         unit = {"rotation": np.diag([1.0, 1, 1, 0, 0, 0]), "translation": np.diag([0.0, 0, 0, 1, 1, 1])}
         ref_T_body = motion.at(stamps_ns).ref_T_body
-        translation, rotation, jitter = {}, {}, np.zeros((len(stamps_ns), 6, 6))
+        carried, translation, rotation, jitter = {}, {}, {}, np.zeros((len(stamps_ns), 6, 6))
         for name, trajectory in motion.trajectories.items():
             to_board = np.eye(6)[None] if name == "board_body" else adjoint(inverse(ref_T_body))
+            carried[name] = to_board
             twist = np.nan_to_num(trajectory.twist_per_s(stamps_ns))
             moved = (to_board @ twist[:, :, None])[:, :, 0]
             share = trajectory.interpolated_variance(stamps_ns, 0.0)
@@ -132,15 +137,20 @@ class NoiseBases:
             translation[name], rotation[name] = (
                 to_board @ unit[kind] @ np.swapaxes(to_board, 1, 2) for kind in ("translation", "rotation")
             )
-        return NoiseBases(motion, stamps_ns, translation, rotation, jitter)
+        return NoiseBases(motion, stamps_ns, carried, translation, rotation, jitter)
 
     def take(self, rows: IntArray) -> NoiseBases:
         """Only these times."""
+
+        def of_times(bases: dict[str, FloatArray]) -> dict[str, FloatArray]:
+            return {name: base[rows] if len(base) > 1 else base for name, base in bases.items()}
+
         return NoiseBases(
             self.motion,
             self.stamps_ns[rows],
-            {name: base[rows] if len(base) > 1 else base for name, base in self.translation.items()},
-            {name: base[rows] if len(base) > 1 else base for name, base in self.rotation.items()},
+            of_times(self.carried),
+            of_times(self.translation),
+            of_times(self.rotation),
             self.jitter[rows],
         )
 

@@ -55,6 +55,12 @@ class Screened:
         lengths_px = {name: norms(chain_residuals_px(views, estimate)) for name, views in self.views.items()}
         return replace(self, lengths_px=lengths_px)
 
+    @property
+    def rms_px(self) -> float:
+        """Of the residuals' norms, corners without a pixel aside."""
+        lengths_px = np.concatenate(list(self.lengths_px.values()))
+        return float(np.sqrt(np.mean(lengths_px[np.isfinite(lengths_px)] ** 2)))
+
     def dropped(self, screened: Mapping[str, Views]) -> tuple[Dropped, ...]:
         """What was left out of the views that were screened."""
         found = []

@@ -8,14 +8,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from factors import GAUSSIAN
 from gtcal.errors import GtcalError
 from gtcal.estimation.adjustment import Adjusted, adjust, joint_covariance, joint_keys, not_adjusted, theta_sizes
 from gtcal.estimation.alignment import GuideViews, fitting_views, stage_1, stage_2, without_stage_1
 from gtcal.estimation.choice import choose
 from gtcal.estimation.clustered import by_noise_model, by_one_factor, clustered, lens_weight
-from gtcal.estimation.errors_in_variables import GROSS, model_mocap_noise, whiteness
+from gtcal.estimation.errors_in_variables import GROSS, MocapNoiseFit, model_mocap_noise, whiteness
 from gtcal.estimation.estimate import Estimate
 from gtcal.estimation.field_edge import without_edge
+from gtcal.estimation.frame_statistics import frames_of
 from gtcal.estimation.held_intrinsics import with_held_intrinsics
 from gtcal.estimation.lens_moves import lens_moves, lens_warnings
 from gtcal.estimation.mocap_noise import MocapNoiseModel
@@ -25,6 +27,12 @@ from gtcal.estimation.options import CalibrationOptions
 from gtcal.estimation.pnp import solve_pnp
 from gtcal.estimation.priors import contradictions
 from gtcal.estimation.residuals import chain_residuals_px, median_by_view, norms
+from gtcal.estimation.smooth_errors import (
+    MOST_FRAMES,
+    adjust_with_smooth_errors,
+    covariance_under,
+    find_smooth_errors,
+)
 from gtcal.files import InputFile
 from gtcal.progress import Progress, silent
 from gtcal.recordings.detections import IntArray
@@ -59,6 +67,10 @@ The second by two sigma of the count, and by more than two views."""
 
 REFUTED_SIGMAS = 3.0
 """By so many standard errors of the hold-out error the noise model is wrong, and not only not better."""
+
+REFUTED_FIT = 1.2
+"""Smooth errors are refuted where the estimate under them fits what it has seen worse, by so many times, than the one
+that takes the mocap as exact predicts what it has not."""
 
 _MOMENTS_SHOWN = 6
 _MIN_VIEWS = 3
@@ -125,11 +137,12 @@ def calibrate_observations(
         stages=(*earlier, *reports, *later),
         dropped=pooled(observations.dropped + found.dropped),
         warnings=(
-            *_warnings(observations, adjusted, sigmas, options),
+            *_warnings(observations, found, options),
             *lens_warnings({name: of_camera.camera for name, of_camera in views.items()}, moved),
             *(shape.warnings if shape is not None else ()),
             *_gross_warnings(found.dropped, observations),
             *fit_warnings((*reports, *later), found.noise),
+            *smooth_warnings(found.noise),
         ),
         provenance=provenance(options, inputs, time.perf_counter() - started),
         solution=Solution(
@@ -170,12 +183,17 @@ def _motion_warnings(views: Mapping[str, Views], options: CalibrationOptions) ->
     return () if warning is None else (warning,)
 
 
-def _warnings(
-    observations: Observations, adjusted: Adjusted, sigmas: JointCovariance | None, options: CalibrationOptions
-) -> tuple[str, ...]:
-    """The motion is looked at again without the gross views, whose wrong poses would pass for turns."""
+def _warnings(observations: Observations, found: _Found, options: CalibrationOptions) -> tuple[str, ...]:
+    """The motion is looked at again without the gross views, whose wrong poses would pass for turns. Data that
+    determine the result but for the mocap's smooth errors are weak, and not degenerate."""
+    adjusted, sigmas = found.adjusted, found.covariances.get(found.kind)
     motion = _motion_warnings(adjusted.screened.views, options)
-    weak = _weakness_warnings(observations, adjusted, sigmas, options) if 3 in options.stages else ()
+    weak: tuple[str, ...] = ()
+    if 3 in options.stages:
+        if found.of_noise_alone is not None:
+            _weakness_warnings(observations, adjusted, found.of_noise_alone, options)
+            options = replace(options, allow_degenerate=True)
+        weak = _weakness_warnings(observations, adjusted, sigmas, options)
     return (*motion, *_screening_warnings(adjusted, observations.views), *weak, *_prior_warnings(adjusted, options))
 
 
@@ -322,7 +340,8 @@ def _weighed(adjusted: Adjusted, views: Mapping[str, Views], options: Calibratio
 @dataclass(frozen=True)
 class _Found:
     """The estimate that was taken, what it was chosen from, and what was left out for it. freed, modelled: stage 4's
-    solution and noise, where it was run."""
+    solution and noise, where it was run. of_noise_alone: the covariance that the motion would allow, had the mocap no
+    smooth errors; None where it has none."""
 
     adjusted: Adjusted
     estimates: dict[int, Estimate]
@@ -332,6 +351,7 @@ class _Found:
     reports: tuple[StageReport, ...] = ()
     freed: Adjusted | None = None
     modelled: MocapNoiseModel | None = None
+    of_noise_alone: JointCovariance | None = None
 
     @property
     def covariance_factor(self) -> float:
@@ -378,10 +398,56 @@ def _with_mocap_noise(
             else by_noise_model(adjusted, options, noise.noise, motion, sizes=naive.theta_sizes)
         )
     estimates = {3: adjusted.estimate, 4: freed.estimate}
-    if chosen.stage == 3:
-        return _Found(adjusted, estimates, covariances, chosen, dropped, (report,), freed, noise.noise)
-    dropped += noise.dropped
-    return _Found(freed, estimates, covariances, chosen, dropped, (report,), freed, noise.noise)
+    if chosen.stage == 4:
+        dropped += noise.dropped
+    taken = adjusted if chosen.stage == 3 else freed
+    found = _Found(taken, estimates, covariances, chosen, dropped, (report,), freed, noise.noise)
+    return _with_smooth_errors(found, noise, observations, options)
+
+
+def _with_smooth_errors(
+    found: _Found, fit: MocapNoiseFit, observations: Observations, options: CalibrationOptions
+) -> _Found:
+    """With what the mocap errs by beside noise in the estimate, where the frames are few, else in its covariance."""
+    smooth = find_smooth_errors(found.adjusted, fit, observations.motion, options)
+    if smooth is None or found.noise is None:
+        return found
+    noise, joint = replace(found.noise, smooth=smooth.told(fit.noise)), found.covariances.get(found.kind)
+    if len(frames_of(found.adjusted.screened.views)) > MOST_FRAMES or options.robust != GAUSSIAN:
+        matrix = covariance_under(
+            found.adjusted, fit, smooth, observations.motion, options, models_noise=noise.stage == 4
+        )
+        sizes = found.covariances[NAIVE].theta_sizes
+        covariances = {**found.covariances, found.kind: JointCovariance.of(found.kind, sizes, matrix)}
+        return replace(found, noise=noise, covariances=covariances, of_noise_alone=joint)
+    settled = adjust_with_smooth_errors(found.adjusted, fit, smooth, observations.motion, options)
+    under = joint_covariance(settled, ERRORS_IN_VARIABLES)
+    if under is None or settled.screened.rms_px > REFUTED_FIT * noise.hold_out_px[3]:
+        return found
+    return replace(
+        found,
+        adjusted=settled,
+        freed=settled,
+        estimates={**found.estimates, 4: settled.estimate},
+        covariances={**found.covariances, ERRORS_IN_VARIABLES: under.times(fit.noise.small_sample_factor)},
+        noise=replace(noise, stage=4, reason=f"{noise.reason}; smooth errors modelled too"),
+        of_noise_alone=joint,
+    )
+
+
+def smooth_warnings(noise: MocapNoise | None) -> tuple[str, ...]:
+    """A line on what the mocap errs by beside noise."""
+    if noise is None or not noise.smooth:
+        return ()
+    words = {"time": "over the recording", "place": "with where it is and how it is turned"}
+    parts = ", ".join(
+        f"those of {one.body!r} vary {words[one.over]} by {one.translation_mm:.2g} mm and {one.rotation_deg:.1g} deg"
+        for one in noise.smooth
+    )
+    return (
+        f"the mocap's errors are not noise alone: {parts} (1-sigma); the result and its sigmas allow for "
+        "that; markers that creep, a volume that warms or an arm's joints err so",
+    )
 
 
 def _with_held_intrinsics(

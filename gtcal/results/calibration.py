@@ -131,6 +131,17 @@ class CameraCalibration:
 
 
 @dataclass(frozen=True)
+class SmoothError:
+    """1-sigma of errors of a tracked body that are no noise, along and about its axes: smooth ``over`` 'time' or
+    'place', where the body is and how it is turned."""
+
+    body: str
+    over: str
+    translation_mm: float
+    rotation_deg: float
+
+
+@dataclass(frozen=True)
 class MocapNoise:
     """What the mocap's noise was taken to be, and whether modelling it (stage 4) earned its place.
 
@@ -140,7 +151,8 @@ class MocapNoise:
     innovation_variance: of what the model does not foresee, whitened; 1 where the sigmas are right. lag_1: its
         correlation from frame to frame, 0 where nothing systematic is left; lag_1_sigma: of chance.
     hold_out_px: by stage, 3 and 4: RMSE of blocks of time that the estimate has not seen.
-    stage: whose estimate was taken. reason: why, in words."""
+    stage: whose estimate was taken. reason: why, in words.
+    smooth: what the mocap errs by beside noise, largest first; it is in the covariance."""
 
     translation_sigma_mm: dict[str, float]
     rotation_sigma_deg: dict[str, float]
@@ -153,6 +165,7 @@ class MocapNoise:
     hold_out_px: dict[int, float]
     stage: int
     reason: str
+    smooth: tuple[SmoothError, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -35,6 +35,7 @@ from gtcal.results.calibration import (
     Provenance,
     ResidualStatistics,
     Segment,
+    SmoothError,
     StageReport,
 )
 from gtcal.results.covariance import JointCovariance
@@ -266,7 +267,8 @@ def _mocap_noise(block: Mapping[str, Any] | None) -> MocapNoise | None:
     if block is None:
         return None
     hold_out_px = {int(stage): float(rmse) for stage, rmse in block["hold_out_px"].items()}
-    return _made(MocapNoise, {**block, "hold_out_px": hold_out_px})
+    smooth = tuple(_made(SmoothError, part) for part in block.get("smooth", ()))
+    return _made(MocapNoise, {**block, "hold_out_px": hold_out_px, "smooth": smooth})
 
 
 def _finding(block: Mapping[str, Any]) -> EffectFinding:
