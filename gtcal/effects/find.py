@@ -40,13 +40,15 @@ def with_effects(calibration: Calibration, observations: Observations, options: 
 
 def with_found(calibration: Calibration, found: FoundEffects) -> Calibration:
     """The calibration with these effects, and a warning for each that is no chance; by how much the estimate would move
-    if these were let in is in its covariance, for so far is it off."""
+    if these were let in is in its covariance, for so far is it off. A change that is named explains what else would
+    look like errors that are smooth in time."""
     with_doubt = calibration
     if calibration.covariance is not None and len(found.left_out):
         joint = calibration.covariance
         shifts = found.left_out[:, : len(joint.matrix)]
         with_doubt = calibration.with_covariance(replace(joint, matrix=joint.matrix + shifts.T @ shifts))
-    warnings = (*calibration.warnings, *effect_warnings(found.effects))
+    named = calibration.mocap_noise.warnings if calibration.mocap_noise and found.changes else ()
+    warnings = (*(line for line in calibration.warnings if line not in named), *effect_warnings(found.effects))
     return replace(with_doubt, effects=found.effects, warnings=warnings)
 
 

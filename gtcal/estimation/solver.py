@@ -142,7 +142,7 @@ def calibrate_observations(
             *(shape.warnings if shape is not None else ()),
             *_gross_warnings(found.dropped, observations),
             *fit_warnings((*reports, *later), found.noise),
-            *smooth_warnings(found.noise),
+            *(found.noise.warnings if found.noise is not None else ()),
         ),
         provenance=provenance(options, inputs, time.perf_counter() - started),
         solution=Solution(
@@ -432,21 +432,6 @@ def _with_smooth_errors(
         covariances={**found.covariances, ERRORS_IN_VARIABLES: under.times(fit.noise.small_sample_factor)},
         noise=replace(noise, stage=4, reason=f"{noise.reason}; smooth errors modelled too"),
         of_noise_alone=joint,
-    )
-
-
-def smooth_warnings(noise: MocapNoise | None) -> tuple[str, ...]:
-    """A line on what the mocap errs by beside noise."""
-    if noise is None or not noise.smooth:
-        return ()
-    words = {"time": "over the recording", "place": "with where it is and how it is turned"}
-    parts = ", ".join(
-        f"those of {one.body!r} vary {words[one.over]} by {one.translation_mm:.2g} mm and {one.rotation_deg:.1g} deg"
-        for one in noise.smooth
-    )
-    return (
-        f"the mocap's errors are not noise alone: {parts} (1-sigma); the result and its sigmas allow for "
-        "that; markers that creep, a volume that warms or an arm's joints err so",
     )
 
 

@@ -167,6 +167,22 @@ class MocapNoise:
     reason: str
     smooth: tuple[SmoothError, ...] = ()
 
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """A line on what the mocap errs by beside noise."""
+        if not self.smooth:
+            return ()
+        words = {"time": "over the recording", "place": "with where it is and how it is turned"}
+        parts = ", ".join(
+            f"those of {part.body!r} vary {words[part.over]} by {part.translation_mm:.2g} mm and "
+            f"{part.rotation_deg:.1g} deg"
+            for part in self.smooth
+        )
+        return (
+            f"the mocap's errors are not noise alone: {parts} (1-sigma); the result and its sigmas allow for that; "
+            "markers that creep, a volume that warms or an arm's joints err so",
+        )
+
 
 @dataclass(frozen=True)
 class Clock:
