@@ -6,6 +6,7 @@ from __future__ import annotations
 import time
 from dataclasses import replace
 
+from gtcal.blas import on_one_blas_thread
 from gtcal.camera import Camera
 from gtcal.clock.find import tested, with_clock, with_stated_readouts
 from gtcal.detection.detect import cached_detect
@@ -24,6 +25,7 @@ from gtcal.recordings.recording import Recording
 from gtcal.results.calibration import Calibration, Clock, StageReport
 
 
+@on_one_blas_thread
 def calibrate(
     recording: Recording, options: CalibrationOptions | None = None, *, progress: Progress = silent
 ) -> Calibration:

@@ -65,7 +65,9 @@ def test_it_is_more_accurate_than_stage_3_and_its_covariance_is_true(mocap):
     plain_mm, found_mm, nees, naive, innovation = [], [], [], [], []
     for seed in range(10):
         simulated = simulation(seed)
-        found = calibrate_observations(synchronise(simulated.recording), CalibrationOptions(mocap=mocap))
+        found = calibrate_observations(
+            synchronise(simulated.recording), CalibrationOptions(mocap=mocap, intrinsics="exact")
+        )
         assert (found.covariance_kind, found.mocap_noise.stage) == (ERRORS_IN_VARIABLES, 4)
         assert set(found.covariances) == {NAIVE, CLUSTERED, ERRORS_IN_VARIABLES}
         for name, truth in simulated.truth.camera_T_ref.items():
@@ -86,8 +88,9 @@ def test_it_is_more_accurate_than_stage_3_and_its_covariance_is_true(mocap):
 
 def test_its_pixel_noise_is_that_of_the_pixels_alone():
     observations = synchronise(simulation(1).recording)
-    assert calibrate_observations(observations, CalibrationOptions(mocap="exact")).sigma_px > 0.2
-    assert calibrate_observations(observations).sigma_px == pytest.approx(0.1, rel=0.03)
+    options = CalibrationOptions(intrinsics="exact")
+    assert calibrate_observations(observations, replace(options, mocap="exact")).sigma_px > 0.2
+    assert calibrate_observations(observations, options).sigma_px == pytest.approx(0.1, rel=0.03)
 
 
 def test_where_the_mocap_is_taken_as_exact_the_frames_are_clustered():

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from gtcal.blas import on_one_blas_thread
 from gtcal.doctor.alone_search import (
     AloneSearch,
     Mended,
@@ -49,6 +50,7 @@ _BEHIND, _FITTING_PX = 0.8, 10.0
 """A share of views from behind that is no accident of PnP, where the corners lie nearly where they should."""
 
 
+@on_one_blas_thread
 def diagnose(path: Path | str, *, progress: Progress = silent) -> Diagnosis:
     """What is wrong with the recording in the folder (or with the manifest file) ``path``, with the manifest's lines to
     change. Cameras that have only images are detected first.
@@ -73,6 +75,7 @@ def diagnose(path: Path | str, *, progress: Progress = silent) -> Diagnosis:
     return patient.examined(alternatives)
 
 
+@on_one_blas_thread
 def diagnose_recording(recording: Recording, *, progress: Progress = silent) -> Diagnosis:
     """``diagnose`` of a recording in memory: its findings have advice, but no lines of a manifest where these depend on
     the files."""

@@ -30,7 +30,7 @@ MOST_CORRECTED = 300
 """Clusters up to which each is corrected by its own leverage; beyond, that no longer matters."""
 
 _CORRELATION_TIMES = 3.0
-_WEIGHT_ROUNDS = 4
+_WEIGHT_ROUNDS, _SAME_WEIGHT = 4, 0.1
 _LARGEST_LEVERAGE = 0.99
 
 
@@ -103,15 +103,17 @@ def lens_weight(adjusted: Adjusted, options: CalibrationOptions) -> float:
     sums = _Sums.of(_parts(adjusted, options), 0.0)
     first = 6 + 6 * len(adjusted.screened.views)
     lens_information = Priors.of(adjusted, options, 2.0).information - Priors.of(adjusted, options, 1.0).information
-    weight = 1.0
+    weight = adjusted.lens_weight
     for _ in range(_WEIGHT_ROUNDS):
-        priors = Priors.of(adjusted, options, weight)
+        before, priors = weight, Priors.of(adjusted, options, weight)
         root, gradients = sums.white_gradients(priors)
         to_lens = root[:, first:]
         shown = gradients @ to_lens
         claimed = to_lens.T @ (root @ sums.information @ root.T) @ to_lens
         unit = lens_information[first:, first:]
         weight = max(1.0, float(np.sum(unit * (shown.T @ shown)) / np.sum(unit * claimed)))
+        if abs(np.log(weight / before)) < _SAME_WEIGHT:
+            break
     return weight
 
 

@@ -227,7 +227,7 @@ def _most_likely(
         jac=True,
         method="L-BFGS-B",
         bounds=[(_LEAST_WHITE, _LARGEST), *bounds],
-        options={"maxiter": _MOST_STEPS, "ftol": 1e-6},
+        options={"maxiter": _MOST_STEPS, "ftol": 1e-5},
     )
     return found.x, float(found.fun)
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from factors import GAUSSIAN
+from gtcal.blas import on_one_blas_thread
 from gtcal.errors import GtcalError
 from gtcal.estimation.adjustment import Adjusted, adjust, joint_covariance, joint_keys, not_adjusted, theta_sizes
 from gtcal.estimation.alignment import GuideViews, fitting_views, stage_1, stage_2, without_stage_1
@@ -91,6 +92,7 @@ class DisagreementError(GtcalError):
         )
 
 
+@on_one_blas_thread
 def calibrate_observations(
     observations: Observations,
     options: CalibrationOptions | None = None,

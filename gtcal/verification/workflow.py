@@ -9,6 +9,7 @@ from typing import Literal
 
 import numpy as np
 
+from gtcal.blas import on_one_blas_thread
 from gtcal.camera import Camera
 from gtcal.estimation.observations import check_overlap
 from gtcal.files import InputFile
@@ -37,6 +38,7 @@ from gtcal.verification.verification import (
 )
 
 
+@on_one_blas_thread
 def verify(
     recording: LollypopRecording,
     calibration: Calibration,
