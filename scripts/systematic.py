@@ -35,11 +35,11 @@ def slip(body: str, *, turns: bool = False, at: float = CHANGED_AT) -> Spoil:
 
 
 def slow_drift(body: str) -> Spoil:
-    """The body's markers creep by mm from the first frame to the last."""
+    """The body's markers creep by mm from the first frame to the last, and are half way where they were found."""
 
     def spoilt(simulation: Simulation, size: float) -> Recording:
         stamps_ns = getattr(simulation.recording, body).stamps_ns
-        share = (stamps_ns - stamps_ns[0]) / (stamps_ns[-1] - stamps_ns[0])
+        share = (stamps_ns - stamps_ns[0]) / (stamps_ns[-1] - stamps_ns[0]) - 0.5
         return _with_errors(simulation.recording, body, share[:, None] * _twist(size, turns=False))
 
     return spoilt
