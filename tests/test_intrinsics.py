@@ -234,6 +234,6 @@ def test_real_images_without_intrinsics(vicon_recording: Callable[..., Path]) ->
     assert residuals.rmse_px <= 1.0
     gross = [drop for drop in calibration.dropped if drop.n_views]
     assert residuals.n_views + sum(drop.n_views for drop in gross) == 30
-    assert all(drop.reason == GROSS and drop.n_views == 1 for drop in gross)  # by stage 4
+    assert all(drop.reason == GROSS and drop.n_views <= 2 for drop in gross)  # by stage 4
     assert residuals.n_corners >= 3800
     assert calibration.stages[0].error_after < 0.25
