@@ -11,8 +11,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import scipy.linalg  # noqa: F401 (its BLAS is another than NumPy's)
-import threadpoolctl
 from support import EPOCH_NS, random_detections, wandering_trajectory
 
 from factors import FISHEYE62, PINHOLE_RADTAN
@@ -20,9 +18,6 @@ from gtcal.board import AprilGrid
 from gtcal.camera import Camera
 from gtcal.recordings.capture import Capture
 from gtcal.recordings.recording import Recording, write_recording
-
-# the tests run in a process per core: BLAS's own threads would only wait for each other
-threadpoolctl.threadpool_limits(limits=1, user_api="blas")
 
 SHARED = Path(__file__).resolve().parents[2] / "shared"
 
