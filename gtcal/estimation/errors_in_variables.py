@@ -107,7 +107,7 @@ def fit_mocap_noise(
         return None
     information = prior_information(views, adjusted.estimate, options)
     chosen = spread_blocks(frames_of(views))
-    sample = _moments(views, adjusted.estimate, options, options.sigma_px or 1.0, chosen)
+    sample = moments_of(views, adjusted.estimate, options, options.sigma_px or 1.0, chosen)
     sample = sample.whitened_by(options.sigma_px or max(sample.pixel_sigma_px, 1e-6))
     if isinstance(options.mocap, MocapSigmas):
         noise = MocapNoiseModel(dict.fromkeys(motion.trajectories, options.mocap))
@@ -137,9 +137,10 @@ def fit_mocap_noise(
     return adjusted, MocapNoiseFit(noise, sample.sigma_px, held_out, dropped, gross_share)
 
 
-def _moments(
+def moments_of(
     views: Mapping[str, Views], estimate: Estimate, options: CalibrationOptions, sigma_px: float, frames: IntArray
 ) -> FrameMoments:
+    """Of these frames, with what the options solve for."""
     return frame_moments(
         views,
         estimate,
@@ -226,7 +227,8 @@ def whiteness(freed: Adjusted, fit: MocapNoiseFit, motion: RefMotion, options: C
     """Whether the noise model explains the frames, at stage 4's estimate."""
     views = freed.screened.views
     chosen = spread_blocks(frames_of(views))
-    return Whiteness.of(innovations(_moments(views, freed.estimate, options, fit.sigma_px, chosen), fit.noise, motion))
+    moments = moments_of(views, freed.estimate, options, fit.sigma_px, chosen)
+    return Whiteness.of(innovations(moments, fit.noise, motion))
 
 
 def _problem(

@@ -29,13 +29,11 @@ from scipy.optimize import minimize
 from factors.marginal import MarginalFactor
 from gtcal.camera import FloatArray
 from gtcal.estimation.adjustment import Adjusted
-from gtcal.estimation.errors_in_variables import MocapNoiseFit, prior_information, priors_graph, shared_keys
-from gtcal.estimation.estimate import Estimate
-from gtcal.estimation.frame_statistics import FrameMoments, frame_moments, frames_of
+from gtcal.estimation.errors_in_variables import MocapNoiseFit, moments_of, prior_information, priors_graph, shared_keys
+from gtcal.estimation.frame_statistics import frames_of
 from gtcal.estimation.graph import minimise, to_values, updated
 from gtcal.estimation.linear import scaled_inverse
 from gtcal.estimation.mocap_noise import MocapNoiseModel, NoiseBases, lower_factors
-from gtcal.estimation.observations import Views
 from gtcal.estimation.options import CalibrationOptions
 from gtcal.recordings.capture import RefMotion
 from gtcal.recordings.detections import IntArray
@@ -203,7 +201,7 @@ def find_smooth_errors(
     frames = _evenly(frames_of(adjusted.screened.views), _FRAMES_TO_FIND)
     if len(frames) < _FEWEST_FRAMES:
         return None
-    part = _moments(adjusted.screened.views, adjusted.estimate, fit, options, frames)
+    part = moments_of(adjusted.screened.views, adjusted.estimate, options, fit.sigma_px, frames)
     problem = _Problem.of(part.moments, prior_information(adjusted.screened.views, adjusted.estimate, options))
     process = _Process.of(part.stamps_ns, fit.noise, motion).measured_by(problem.root)
     n = len(process.names)
@@ -240,12 +238,12 @@ def adjust_with_smooth_errors(
     frames = frames_of(views)
     sizes = shared_keys(views, options)
     nothing = np.zeros((1 + sum(sizes.values()),) * 2)
-    stamps_ns = _moments(views, adjusted.estimate, fit, options, frames).stamps_ns
+    stamps_ns = moments_of(views, adjusted.estimate, options, fit.sigma_px, frames).stamps_ns
     process = _Process.of(stamps_ns, fit.noise, motion)
     errors = process.covariance(_scales(process, smooth))
 
     def moments(values: gtsam.Values) -> FloatArray:
-        part = _moments(views, updated(adjusted.estimate, values), fit, options, frames)
+        part = moments_of(views, updated(adjusted.estimate, values), options, fit.sigma_px, frames)
         return _Problem.of(part.moments, nothing).marginal(errors)
 
     graph = gtsam.NonlinearFactorGraph()
@@ -278,7 +276,7 @@ def covariance_under(
     information, scatter = (
         prior_information(views, adjusted.estimate, options, w)[:-1, :-1] for w in (weight, weight**2)
     )
-    part = _moments(views, adjusted.estimate, fit, options, frames)
+    part = moments_of(views, adjusted.estimate, options, fit.sigma_px, frames)
     problem = _Problem.of(part.moments, np.zeros((part.n_unknowns + 1,) * 2))
     process = _Process.of(part.stamps_ns, fit.noise, motion).measured_by(problem.root)
     scales, unit = _scales(process, smooth), np.eye(len(problem.measured))
@@ -297,16 +295,3 @@ def _scales(process: _Process, smooth: SmoothErrors) -> FloatArray:
 def _evenly(frames: IntArray, most: int) -> IntArray:
     """At most so many of the frames."""
     return frames if len(frames) <= most else frames[np.linspace(0, len(frames) - 1, most).round().astype(np.int64)]
-
-
-def _moments(
-    views: Mapping[str, Views], estimate: Estimate, fit: MocapNoiseFit, options: CalibrationOptions, frames: IntArray
-) -> FrameMoments:
-    return frame_moments(
-        views,
-        estimate,
-        sigma_px=fit.sigma_px,
-        free_theta=options.refine_intrinsics,
-        free_shape=options.solves_board_shape,
-        frames=frames,
-    )
