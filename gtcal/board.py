@@ -18,6 +18,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from gtcal.board_tolerance import tolerance_of
 from gtcal.camera import BoolArray, FloatArray
 from gtcal.errors import GtcalError
 from gtcal.recordings.detections import IntArray
@@ -457,12 +458,12 @@ class CharucoBoard(_BoardBase):
 
 def board_from_manifest(block: object) -> Board:
     """The board that a manifest's ``board`` block describes: ``{preset: paper_a2}``, or ``{type: ...}`` with
-    the fields of that type.
+    the fields of that type. What the block states of its tolerance is no part of it.
 
     Raises GtcalError naming the field that is unknown, missing, of the wrong type or implausible."""
     if not isinstance(block, Mapping):
         raise GtcalError(f"'board' is {block!r}; expected fields, as 'preset: paper_a2' or 'type: aprilgrid' ...")
-    given = dict(block)
+    given, _ = tolerance_of(block)
     if "preset" in given:
         return _preset(given)
     if "type" not in given:

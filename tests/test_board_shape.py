@@ -12,8 +12,8 @@ from calibration_support import simulated
 
 from factors.board_shape import N_SHAPE, SHAPE_NAMES, outline_of, shaped
 from factors.rigid import inverse
-from gtcal.board import PAPER_A2
-from gtcal.board_tolerance import BoardTolerance, tolerance_of
+from gtcal.board import PAPER_A2, board_manifest_schema, load_board
+from gtcal.board_tolerance import BoardTolerance, tolerance_of, with_tolerance_schema
 from gtcal.cli.tables import print_calibration
 from gtcal.errors import GtcalError
 from gtcal.estimation.observations import synchronise
@@ -111,6 +111,14 @@ def test_its_tolerance_is_read_from_the_board_block() -> None:
     sigmas = tolerance.shape_sigmas(outline_of(PAPER_A2.corners_m))
     np.testing.assert_allclose(sigmas, [2e-4, 2e-4, 1e-4, 1e-4, 1e-4])
     assert len(SHAPE_NAMES) == N_SHAPE == len(sigmas)
+
+
+def test_a_manifest_that_states_it_gives_the_same_board(tmp_path: Path) -> None:
+    """To every command that reads a board from a manifest, and in its schema."""
+    (tmp_path / "recording.yaml").write_text("board: {preset: paper_a2, scale_sigma: 2.0e-4}\n")
+    assert load_board(str(tmp_path / "recording.yaml")) == PAPER_A2
+    schema = with_tolerance_schema(board_manifest_schema())
+    assert all({"scale_sigma", "flatness_mm"} < set(one["properties"]) for one in schema["oneOf"])
 
 
 @pytest.mark.parametrize("value", [0.0, -1, "0.1", True, float("nan"), float("inf")])

@@ -142,21 +142,18 @@ def test_what_does_not_tell_is_refused() -> None:
         CalibrationOptions(clock="per_camera", clock_drift=True)
 
 
+def printed(folder: Path) -> str:
+    """What ``gtcal calibrate`` says of the recording in a folder; it writes c.json there."""
+    lenses = "--intrinsics", "exact", "--no-effects"
+    ran = run("calibrate", folder / "recording", "-o", folder / "c.json", "--clock", "estimate", *lenses)
+    assert (ran.code, ran.err) == (0, "")
+    return ran.out
+
+
 def test_the_command_finds_it_keeps_it_and_the_report_uses_it(tmp_path: Path) -> None:
     write_simulation(late(0.05), tmp_path / "recording", images=False)
-    ran = run(
-        "calibrate",
-        tmp_path / "recording",
-        "-o",
-        tmp_path / "c.json",
-        "--clock",
-        "estimate",
-        "--intrinsics",
-        "exact",
-        "--no-effects",
-    )
-    assert (ran.code, ran.err) == (0, "")
-    assert re.search(r"clock: -(50|49)\.\d+ ms ± 0\.\d+ added", ran.out)
+    shown = printed(tmp_path)
+    assert re.search(r"clock: -(50|49)\.\d+ ms ± 0\.\d+ added", shown)
     calibration = read_calibration(tmp_path / "c.json")
     assert calibration.clock.offset_s["front_left"] == pytest.approx(-0.05, abs=3e-4)
     assert json.loads((tmp_path / "c.json").read_text())["clock"]["corrected"] is True
@@ -219,19 +216,8 @@ def test_a_rolling_shutter_of_unknown_readout_is_asked_for() -> None:
 def test_a_rolling_shutter_is_kept_in_the_files_and_the_report(tmp_path: Path) -> None:
     simulation = rolling(None, clock_offset_s=0.01)
     write_simulation(simulation, tmp_path / "recording", images=False)
-    ran = run(
-        "calibrate",
-        tmp_path / "recording",
-        "-o",
-        tmp_path / "c.json",
-        "--clock",
-        "estimate",
-        "--intrinsics",
-        "exact",
-        "--no-effects",
-    )
-    assert (ran.code, ran.err) == (0, "")
-    assert "camera 'front_left' reads its rows out in 2" in ran.out or "in 19." in ran.out
+    shown = printed(tmp_path)
+    assert "camera 'front_left' reads its rows out in 2" in shown or "in 19." in shown
     calibration = read_calibration(tmp_path / "c.json")
     evidence = gather_evidence(calibration, load_recording(tmp_path / "recording"))
     assert all(seen.statistics.rmse_px < 0.5 for seen in evidence.cameras.values())

@@ -6,10 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from factors.board_shape import N_SHAPE
+from factors.board_shape import N_SHAPE, SHAPE_NAMES
 from gtcal.camera import FloatArray
 from gtcal.effects.effect import single
 from gtcal.effects.frames import Frames
+from gtcal.results.board_shape import IN_WORDS, UNITS
 from gtcal.results.effect_finding import Moment, Quantity
 
 _FLAT_AND_STIFF = "measure the printed board, and mount it on something flat and stiff"
@@ -18,20 +19,17 @@ _PARTS = (
         "scale",
         "the board is larger than stated, or the mocap's lengths smaller than true, by a share",
         "measure the printed board and state its true size; if it is right, calibrate the mocap's volume again",
-        100.0,
-        "%",
     ),
     (
         "board stretch",
         "the board is longer along its x axis than along y, by a share",
         "measure the printed board along both axes: printers stretch the paper",
-        100.0,
-        "%",
     ),
-    ("board bow along x", "the board is bowed along its x axis", _FLAT_AND_STIFF, 1e3, "mm"),
-    ("board bow along y", "the board is bowed along its y axis", _FLAT_AND_STIFF, 1e3, "mm"),
-    ("board twist", "the board is twisted: two of its corners stand out", _FLAT_AND_STIFF, 1e3, "mm"),
+    ("board bow along x", "the board is bowed along its x axis", _FLAT_AND_STIFF),
+    ("board bow along y", "the board is bowed along its y axis", _FLAT_AND_STIFF),
+    ("board twist", "the board is twisted: two of its corners stand out", _FLAT_AND_STIFF),
 )
+"""Of each number of a shape, in order: its name, what it is, and what to do."""
 
 
 @dataclass(frozen=True)
@@ -60,4 +58,5 @@ class BoardShapePart:
         return columns
 
     def quantities(self, estimate: FloatArray, covariance: FloatArray) -> tuple[Quantity, ...]:
-        return single(estimate, covariance, *_PARTS[self.index][3:])
+        _, unit = IN_WORDS[SHAPE_NAMES[self.index]]
+        return single(estimate, covariance, UNITS[unit], unit)

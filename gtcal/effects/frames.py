@@ -12,7 +12,7 @@ from gtcal.camera import BoolArray, FloatArray
 from gtcal.effects.isolated import without_isolated
 from gtcal.estimation.errors_in_variables import prior_information
 from gtcal.estimation.estimate import Estimate
-from gtcal.estimation.frame_statistics import FrameMoments, frame_moments, frames_of
+from gtcal.estimation.frame_statistics import FrameMoments, evenly, frame_moments, frames_of
 from gtcal.estimation.mocap_noise import MocapNoiseModel, Whiteness, estimate_noise, innovations, spread_blocks
 from gtcal.estimation.observations import Observations, Views
 from gtcal.estimation.options import CalibrationOptions
@@ -148,10 +148,9 @@ def _free(raw: FrameMoments, n_cameras: int, options: CalibrationOptions) -> Int
 
 def _chosen(views: Mapping[str, Views]) -> IntArray:
     """The frames, or as many of them, evenly, as memory allows."""
-    frames = frames_of(views)
     width = 13 + sum(6 + of_camera.camera.model.n_parameters for of_camera in views.values())
     most = int(np.clip(MOST_NUMBERS / width**2, _FEWEST_FRAMES, _MOST_FRAMES))
-    return frames if len(frames) <= most else frames[np.linspace(0, len(frames) - 1, most).round().astype(np.int64)]
+    return evenly(frames_of(views), most)
 
 
 def _n_corners(views: Mapping[str, Views], frames: IntArray) -> int:

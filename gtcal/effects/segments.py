@@ -183,10 +183,15 @@ def _with_slips_unknown(calibration: Calibration, joint: FloatArray, n_slips: in
     n = len(joint) - n_slips
     added = joint[:n, :n] - np.linalg.inv(np.linalg.inv(joint)[:n, :n])
     covariances = {
-        kind: found if kind == NAIVE else replace(found, matrix=found.matrix + added[: (P := len(found.matrix)), :P])
-        for kind, found in calibration.covariances.items()
+        kind: found if kind == NAIVE else _grown(found, added) for kind, found in calibration.covariances.items()
     }
     return _with_covariances(calibration, covariances)
+
+
+def _grown(joint: JointCovariance, added: FloatArray) -> JointCovariance:
+    """added: of the unknowns of a ``JointCovariance`` and, behind them, of the board's shape."""
+    n = len(joint.matrix)
+    return replace(joint, matrix=joint.matrix + added[:n, :n])
 
 
 def _with_covariances(calibration: Calibration, covariances: dict[str, JointCovariance]) -> Calibration:

@@ -195,6 +195,11 @@ def frames_of(views: Mapping[str, Views]) -> IntArray:
     return np.unique(np.concatenate([of_camera.frame_index for of_camera in views.values()]))
 
 
+def evenly(frames: IntArray, most: int) -> IntArray:
+    """At most so many of the frames, evenly spread."""
+    return frames if len(frames) <= most else frames[np.linspace(0, len(frames) - 1, most).round().astype(np.int64)]
+
+
 def _frames(views: Mapping[str, Views]) -> tuple[IntArray, IntArray]:
     index, first = np.unique(np.concatenate([v.frame_index for v in views.values()]), return_index=True)
     return np.concatenate([v.stamps_ns for v in views.values()])[first], index

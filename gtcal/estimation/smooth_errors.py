@@ -29,8 +29,9 @@ from scipy.optimize import minimize
 from factors.marginal import MarginalFactor
 from gtcal.camera import FloatArray
 from gtcal.estimation.adjustment import Adjusted
+from gtcal.estimation.clustered import stamps_of
 from gtcal.estimation.errors_in_variables import MocapNoiseFit, moments_of, prior_information, priors_graph, shared_keys
-from gtcal.estimation.frame_statistics import frames_of
+from gtcal.estimation.frame_statistics import evenly, frames_of
 from gtcal.estimation.graph import minimise, to_values, updated
 from gtcal.estimation.linear import scaled_inverse
 from gtcal.estimation.mocap_noise import MocapNoiseModel, NoiseBases, lower_factors
@@ -41,8 +42,9 @@ from gtcal.recordings.trajectory import Trajectory
 from gtcal.results.calibration import SmoothError
 
 LEAST_GAIN = 8.0
-"""Twice the logarithm of the likelihood that smooth errors must gain: chance reaches it once in some hundred clean
-recordings (``scripts/study_coverage.py``)."""
+"""Twice the logarithm of the likelihood that smooth errors must gain. Of four variances that are zero, chance reaches
+that once in forty (a mixture of chi-squared of 0 to 4 degrees of freedom: Self and Liang 1987); the mistake costs some
+certainty, and no truth."""
 
 MOST_FRAMES = 160
 """Up to which the estimate itself is that of the largest likelihood: a system of 960 numbers."""
@@ -198,7 +200,7 @@ def find_smooth_errors(
     adjusted: Adjusted, fit: MocapNoiseFit, motion: RefMotion, options: CalibrationOptions
 ) -> SmoothErrors | None:
     """Those that the frames show at an estimate; None where noise explains them as well."""
-    frames = _evenly(frames_of(adjusted.screened.views), _FRAMES_TO_FIND)
+    frames = evenly(frames_of(adjusted.screened.views), _FRAMES_TO_FIND)
     if len(frames) < _FEWEST_FRAMES:
         return None
     part = moments_of(adjusted.screened.views, adjusted.estimate, options, fit.sigma_px, frames)
@@ -238,8 +240,7 @@ def adjust_with_smooth_errors(
     frames = frames_of(views)
     sizes = shared_keys(views, options)
     nothing = np.zeros((1 + sum(sizes.values()),) * 2)
-    stamps_ns = moments_of(views, adjusted.estimate, options, fit.sigma_px, frames).stamps_ns
-    process = _Process.of(stamps_ns, fit.noise, motion)
+    process = _Process.of(stamps_of(views), fit.noise, motion)
     errors = process.covariance(_scales(process, smooth))
 
     def moments(values: gtsam.Values) -> FloatArray:
@@ -270,7 +271,7 @@ def covariance_under(
     Raises numpy.linalg.LinAlgError where the data leave a direction open."""
     views = adjusted.screened.views
     every = frames_of(views)
-    frames = _evenly(every, MOST_FRAMES)
+    frames = evenly(every, MOST_FRAMES)
     share = len(every) / len(frames)
     weight = 1.0 if models_noise else adjusted.lens_weight * (adjusted.sigma_px / fit.sigma_px) ** 2
     information, scatter = (
@@ -290,8 +291,3 @@ def covariance_under(
 
 def _scales(process: _Process, smooth: SmoothErrors) -> FloatArray:
     return np.array([smooth.white, *(smooth.shares.get(name, 0.0) for name in process.names)])
-
-
-def _evenly(frames: IntArray, most: int) -> IntArray:
-    """At most so many of the frames."""
-    return frames if len(frames) <= most else frames[np.linspace(0, len(frames) - 1, most).round().astype(np.int64)]

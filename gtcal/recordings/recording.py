@@ -184,7 +184,7 @@ class Loader:
 
     def board(self, block: dict[str, object]) -> Board:
         try:
-            return board_from_manifest(tolerance_of(block)[0])
+            return board_from_manifest(block)
         except GtcalError as error:
             raise self.error("board", str(error)) from None
 

@@ -10,14 +10,17 @@ import numpy as np
 from factors.board_shape import SHAPE_NAMES
 from gtcal.camera import FloatArray
 
-_WORDS = {
+IN_WORDS = {
     "scale": ("larger than stated", "%"),
     "stretch": ("longer along x than along y", "%"),
     "bow_x": ("bow along x", "mm"),
     "bow_y": ("bow along y", "mm"),
     "twist": ("twist", "mm"),
 }
-_TIMES = {"%": 100.0, "mm": 1e3}
+"""By its name, what each number of a shape is, and the unit that people use."""
+
+UNITS = {"%": 100.0, "mm": 1e3}
+"""By how many times a number is larger in a unit that people use."""
 
 FAR_SIGMAS = 4.0
 """From here on a board is said to be another than it was expected to be."""
@@ -54,8 +57,8 @@ class BoardShape:
         """In the units that people use."""
         columns = self.shape, np.sqrt(np.diag(self.covariance)), self.stated_sigmas
         for name, value, sigma, stated in zip(SHAPE_NAMES, *columns, strict=True):
-            what, unit = _WORDS[name]
-            times = _TIMES[unit]
+            what, unit = IN_WORDS[name]
+            times = UNITS[unit]
             yield ShapePart(what, unit, times * value, times * sigma, times * stated)
 
     @property

@@ -255,11 +255,12 @@ def _shape(block: Mapping[str, Any] | None) -> BoardShape | None:
 
 def _estimate(block: Mapping[str, Any]) -> Estimate:
     cameras = block["cameras"]
+    shape = _array(block.get("board_shape"), (N_SHAPE,))
     return Estimate(
         np.array(block["body_T_board"], dtype=np.float64),
         {name: np.array(camera["camera_T_ref"], dtype=np.float64) for name, camera in cameras.items()},
         {name: np.array(camera["theta"], dtype=np.float64) for name, camera in cameras.items()},
-        np.array(block.get("board_shape", FLAT), dtype=np.float64),
+        FLAT if shape is None else shape,
     )
 
 
