@@ -22,7 +22,8 @@ from gtcal.cli.verification_tables import print_drift
 from gtcal.estimation.options import MocapSigmas
 from gtcal.progress import Progress
 from gtcal.simulation import MocapNoise, SimulationOptions, simulate
-from gtcal.simulation.lollypop import LollypopOptions, RigFault, simulate_lollypop, small_motion
+from gtcal.simulation.fault import RigFault, small_motion
+from gtcal.simulation.lollypop import LollypopOptions, simulate_lollypop
 from gtcal.verification.drift_figure import draw_drift
 
 N_RECORDINGS = 5

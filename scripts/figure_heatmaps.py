@@ -40,7 +40,8 @@ from gtcal.report.pictures import styled_figure, write_figure
 from gtcal.report.plots import image_axes
 from gtcal.report.verification_figures import class_legend, draw_heat_map
 from gtcal.simulation import MocapNoise, SimulationOptions, quest3_like_rig, simulate
-from gtcal.simulation.lollypop import LollypopOptions, simulate_lollypop, small_motion
+from gtcal.simulation.fault import small_motion
+from gtcal.simulation.lollypop import LollypopOptions, simulate_lollypop
 from gtcal.verification.verification import ErrorClass
 
 MOCAP_MM, MOCAP_DEG = 0.05, 0.005

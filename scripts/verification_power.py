@@ -19,7 +19,8 @@ from rich.console import Console
 from rich.table import Table
 
 from gtcal.simulation import MocapNoise
-from gtcal.simulation.lollypop import LollypopOptions, RigFault, simulate_lollypop, small_motion
+from gtcal.simulation.fault import RigFault, small_motion
+from gtcal.simulation.lollypop import LollypopOptions, simulate_lollypop
 from gtcal.verification.workflow import verify
 
 FAULTS_DEG = (0.02, 0.05, 0.1, 0.2)

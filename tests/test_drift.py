@@ -12,14 +12,8 @@ import pytest
 from gtcal.cli import main
 from gtcal.errors import GtcalError
 from gtcal.results.calibration_file import write_calibration
-from gtcal.simulation.lollypop import (
-    LollypopOptions,
-    LollypopSimulation,
-    RigFault,
-    growing_fault,
-    small_motion,
-    write_lollypop_simulation,
-)
+from gtcal.simulation.fault import RigFault, small_motion
+from gtcal.simulation.lollypop import LollypopOptions, LollypopSimulation, growing_fault, write_lollypop_simulation
 from gtcal.verification.drift import POOLED, Drift, verify_series, write_drift_csv
 from gtcal.verification.drift_figure import draw_drift
 from gtcal.verification.verification import Verdict

@@ -19,7 +19,8 @@ from gtcal import (
     write_verification,
 )
 from gtcal.simulation import MocapNoise, Simulation, SimulationOptions, simulate
-from gtcal.simulation.lollypop import LollypopOptions, RigFault, simulate_lollypop, small_motion
+from gtcal.simulation.fault import RigFault, small_motion
+from gtcal.simulation.lollypop import LollypopOptions, simulate_lollypop
 from gtcal.verification.expected_error import expected_error
 from gtcal.verification.verification import ExpectedError, Verification
 

@@ -15,8 +15,10 @@ from cli_support import run
 from gtcal import CalibrationOptions, GtcalError, load_recording, selfcheck, synchronise, write_selfcheck
 from gtcal.estimation.observations import Observations
 from gtcal.estimation.residuals import select_views
+from gtcal.estimation.solver import calibrate_observations
 from gtcal.recordings.capture import Capture
 from gtcal.selfchecks.folds import DEFAULT
+from gtcal.selfchecks.halves import split_half
 from gtcal.selfchecks.selfcheck import SelfCheck, check_observations
 from gtcal.selfchecks.time_blocks import only_frames, time_blocks
 from gtcal.simulation import CornerNoise, MocapNoise, write_simulation
@@ -97,6 +99,47 @@ def test_halves_that_determine_nothing_are_a_note() -> None:
     check = checked(replace(observations, views=observations.views | {"side_left": only_late}))
     assert check.halves is None
     assert "no split-half check" in check.notes[0]
+
+
+def test_a_block_without_which_there_is_no_calibration_is_named_and_the_others_count() -> None:
+    observations = observed(0)
+    views = observations.views["side_left"]
+    in_the_first = select_views(views, np.flatnonzero(time_blocks(observations, 3)[views.frame_index] == 0))
+    check = checked(replace(observations, views=observations.views | {"side_left": in_the_first}))
+    (of_halves, failed) = check.notes
+    assert "no split-half check" in of_halves
+    assert failed.startswith("block 1 of 3 (0.00 to ")
+    assert "the rest of the recording gives no calibration: camera 'side_left'" in failed
+    default = check.hold_outs[0]
+    assert list(default.by_block_px) == [1, 2]
+    assert default.rmse_px < 1.5 * check.calibration.rmse_px
+    assert np.isnan(default.by_camera_px["side_left"])
+
+
+def test_a_block_that_the_others_do_not_predict_is_named() -> None:
+    observations = observed(1)
+    last = time_blocks(observations, 5) == 4
+    moved = {
+        name: replace(views, corners_px=views.corners_px + 3.0 * last[views.frame_index][views.view_of_corner][:, None])
+        for name, views in observations.views.items()
+    }
+    check = checked(replace(observations, views=moved), n_folds=5)
+    assert [note[:12] for note in check.notes] == ["block 5 of 5"]
+    assert "something differs in that time" in check.notes[0]
+
+
+def test_halves_are_judged_by_the_covariance_of_the_whole_recording(found: list[SelfCheck]) -> None:
+    whole = found[0].calibration
+    halves = time_blocks(observed(0), 2)
+    first, second = (
+        calibrate_observations(only_frames(observed(0), halves == half), CalibrationOptions()) for half in range(2)
+    )
+    by_own, by_whole = split_half(first, second).overall, split_half(first, second, whole).overall
+    assert by_whole.per_dof == pytest.approx(by_own.per_dof, rel=0.3)
+    confident = replace(first, covariances={k: c.times(1e-2) for k, c in first.covariances.items()})
+    sure = replace(second, covariances={k: c.times(1e-2) for k, c in second.covariances.items()})
+    assert split_half(confident, sure).overall.per_dof == pytest.approx(100.0 * by_own.per_dof)
+    assert split_half(confident, sure, whole).overall.per_dof == pytest.approx(by_whole.per_dof)
 
 
 def test_the_command_prints_and_writes_it(tmp_path: Path) -> None:

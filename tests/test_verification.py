@@ -18,14 +18,8 @@ from gtcal.recordings.trajectory import Trajectory
 from gtcal.results.calibration import Calibration
 from gtcal.results.calibration_file import write_calibration
 from gtcal.simulation import CornerNoise, MocapNoise, SimulationOptions, fixed_cameras_rig, simulate
-from gtcal.simulation.lollypop import (
-    LollypopOptions,
-    LollypopSimulation,
-    RigFault,
-    simulate_lollypop,
-    small_motion,
-    write_lollypop_simulation,
-)
+from gtcal.simulation.fault import RigFault, small_motion
+from gtcal.simulation.lollypop import LollypopOptions, LollypopSimulation, simulate_lollypop, write_lollypop_simulation
 from gtcal.simulation.noise import pose_noise
 from gtcal.simulation.simulate import scene_of
 from gtcal.verification.blocks import fit_covariance, sum_covariance

@@ -14,14 +14,8 @@ from gtcal.camera import RollingShutter
 from gtcal.errors import GtcalError
 from gtcal.results.calibration import Calibration, Clock
 from gtcal.simulation import quest3_like_rig
-from gtcal.simulation.lollypop import (
-    LollypopOptions,
-    LollypopSimulation,
-    RigFault,
-    simulate_lollypop,
-    small_motion,
-    write_lollypop_simulation,
-)
+from gtcal.simulation.fault import RigFault, small_motion
+from gtcal.simulation.lollypop import LollypopOptions, LollypopSimulation, simulate_lollypop, write_lollypop_simulation
 from gtcal.verification.verification import Verdict
 
 

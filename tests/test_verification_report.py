@@ -21,13 +21,8 @@ from gtcal.report.verification_figures import mean_errors
 from gtcal.results.calibration import Calibration
 from gtcal.results.calibration_file import read_calibration, write_calibration
 from gtcal.simulation import SimulationOptions, quest3_like_rig, simulate, write_simulation
-from gtcal.simulation.lollypop import (
-    LollypopOptions,
-    RigFault,
-    simulate_lollypop,
-    small_motion,
-    write_lollypop_simulation,
-)
+from gtcal.simulation.fault import RigFault, small_motion
+from gtcal.simulation.lollypop import LollypopOptions, simulate_lollypop, write_lollypop_simulation
 from gtcal.verification.lollypop_recording import LollypopRecording, load_lollypop_recording
 from gtcal.verification.verification import Verdict, Verification
 from gtcal.verification.workflow import verify

@@ -25,6 +25,7 @@ COMMANDS = {
     "selfcheck": "check a calibration against its own recording: halves, frames held out, chain and PnP",
     "verify": "test a calibration with an independent recording of the Lollypop",
     "drift": "verify a calibration over successive recordings of the Lollypop",
+    "diff": "compare two calibrations of one rig: what moved, what is the same, what they can't tell apart",
     "report": "show a calibration, what it rests on and its verification on one HTML page",
     "export": "write a calibration as a file of another tool: Kalibr, OpenCV, ROS, COLMAP, Aria, Pose2Sim, ...",
     "convert": "read camera files or trajectories of one tool and write them for another",
@@ -48,7 +49,7 @@ commands:
 
 'gtcal COMMAND --help' explains a command; 'gtcal --version' prints the version.
 
-exit codes: 0 fine, 1 a failure told in one line, 2 usage, 3 verified and failed, 4 verified and inconclusive"""
+exit codes: 0 fine, 1 a failure told in one line, 2 usage, 3 failed or moved, 4 it can't be told"""
 
 _GC_THRESHOLD = 100_000
 """Python looks for garbage after so many new objects. At its own 700 that takes a tenth of a short command's time: its

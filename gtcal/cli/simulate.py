@@ -9,7 +9,7 @@ import tyro
 
 if TYPE_CHECKING:
     from gtcal.simulation import SimulationOptions
-    from gtcal.simulation.lollypop import RigFault
+    from gtcal.simulation.fault import RigFault
 
 RigName = Literal["headset", "fixed"]
 CaptureName = Literal["tracked_platform", "standing_board", "fixed_cameras"]
@@ -87,9 +87,9 @@ def simulate(
         lollypop: Simulate a recording of the Lollypop instead, to verify with: of the rig, and the rigid bodies on it,
             that the same rig, capture and seed give without this. Frames, duration, image scale, pixel noise and
             mocap count as above, but for 'frames': all frames at 30 Hz.
-        take: For --lollypop: another number, another recording of the same rig.
-        fault: For --lollypop, what happened to the rig since its calibration: the markers on it were bumped, a camera
-            was moved, or a lens warmed up.
+        take: Another number, another recording of the same rig.
+        fault: What happened to the rig before this recording, with --lollypop or a take other than the first: the
+            markers on it were bumped, a camera was moved, or a lens warmed up.
         fault_camera: The camera of that fault; by default the first.
         fault_mm: How far the markers or the camera moved, along a direction that the seed chooses.
         fault_deg: How far they turned.
@@ -98,6 +98,7 @@ def simulate(
     """
     from gtcal.board import load_board
     from gtcal.cli.progress import shown_progress
+    from gtcal.errors import GtcalError
     from gtcal.files import check_outputs, is_there
     from gtcal.recordings.capture import Capture
     from gtcal.simulation import (
@@ -109,6 +110,7 @@ def simulate(
         write_simulation,
     )
     from gtcal.simulation import simulate as run
+    from gtcal.simulation.simulate import simulate_take
 
     cameras = quest3_like_rig() if rig == "headset" else fixed_cameras_rig()
     usual = Capture.TRACKED_PLATFORM if rig == "headset" else Capture.FIXED_CAMERAS
@@ -127,12 +129,20 @@ def simulate(
         intrinsics=intrinsics,
     )
     check_outputs([output], [Path(board)] if is_there(Path(board)) else (), folders=True)
+    sizes = fault_mm, fault_deg, fault_percent
     if lollypop:
-        happened = _fault(options, fault, fault_camera, fault_mm, fault_deg, fault_percent, seed)
+        happened = _fault(options, fault, fault_camera, *sizes, seed)
         _simulate_lollypop(options, happened, output, images=images, seed=seed, take=take, quiet=quiet)
         return
+    if take == 1 and fault != "none":
+        raise GtcalError("a fault is what happened since the first recording: ask for another with --take 2")
+    simulation = (
+        run(options, seed=seed)
+        if take == 1
+        else simulate_take(options, seed=seed, take=take, fault=_fault(options, fault, fault_camera, *sizes, seed))
+    )
     with shown_progress(quiet) as progress:
-        manifest = write_simulation(run(options, seed=seed), output, images=images, progress=progress)
+        manifest = write_simulation(simulation, output, images=images, progress=progress)
     if not quiet:
         print(f"{manifest}: {frames} frames of {len(cameras.cameras)} cameras; the truth is in ground_truth.json")
 
@@ -142,7 +152,7 @@ def _simulate_lollypop(
 ) -> None:
     from gtcal.cli.progress import shown_progress
     from gtcal.simulation.lollypop import LollypopOptions, simulate_lollypop, write_lollypop_simulation
-    from gtcal.simulation.simulate import scene_of
+    from gtcal.simulation.simulate import scene_of, seed_of_take
 
     of_device = LollypopOptions(
         rig=options.rig,
@@ -154,14 +164,11 @@ def _simulate_lollypop(
         mocap_rate_hz=options.mocap_rate_hz,
         mocap=options.mocap,
     )
-    simulation = simulate_lollypop(of_device, seed=_TAKES * seed + take)
+    simulation = simulate_lollypop(of_device, seed=seed_of_take(seed, take))
     with shown_progress(quiet) as progress:
         manifest = write_lollypop_simulation(simulation, output, images=images, progress=progress)
     if not quiet:
         print(f"{manifest}: a recording of the Lollypop; try: gtcal verify calibration.json {output}")
-
-
-_TAKES = 10_007  # a prime: no take of one seed is a take of the next
 
 
 def _fault(
@@ -169,7 +176,7 @@ def _fault(
 ) -> RigFault:
     import numpy as np
 
-    from gtcal.simulation.lollypop import RigFault, small_motion
+    from gtcal.simulation.fault import RigFault, small_motion
 
     name = camera or options.rig.cameras[0].name
     directions = np.random.default_rng([seed, 77]).standard_normal((2, 3))

@@ -277,7 +277,6 @@ def _to_noise(M: FloatArray, L: FloatArray, A: FloatArray, B: FloatArray) -> Non
                 B[i, j] += L[k, i] * M[k, 6 + j]
 
 
-@kernel
 def eliminate_noise(moments: FloatArray, L: FloatArray, rho: FloatArray, total: FloatArray) -> float:
     """Integrate the mocap's noise out of the frames' moments (n, D, D), in order of time.
 
@@ -285,31 +284,44 @@ def eliminate_noise(moments: FloatArray, L: FloatArray, rho: FloatArray, total: 
     one's; 0 cuts the chain, as after the last. Adds the sums of the other unknowns and the residual to the upper
     triangle of total (D - 6, D - 6) and returns the log determinant of what was integrated out, relative to the
     noise's own."""
-    size = moments.shape[1] - 6
-    A, B, inverse = np.empty((6, 6)), np.empty((6, size)), np.empty((6, 6))
-    prior, carried, unit = np.eye(6), np.zeros((6, size)), np.eye(6)
+    total += np.triu(moments[:, 6:, 6:].sum(axis=0))
+    return subtract_noise(moments, L, rho, total)
+
+
+def subtract_noise(moments: FloatArray, L: FloatArray, rho: FloatArray, total: FloatArray) -> float:
+    """``eliminate_noise`` where total holds the frames' own sums already; both its triangles are right after."""
+    known = np.empty((len(moments), 6, moments.shape[1] - 6))
+    log_determinant: float = _known_of_noise(moments, L, rho, known)
+    known = known.reshape(-1, known.shape[2])
+    total -= known.T @ known
+    return log_determinant
+
+
+@kernel
+def _known_of_noise(moments: FloatArray, L: FloatArray, rho: FloatArray, known: FloatArray) -> float:
+    """Fill known (n, 6, D - 6) with R^-T B of each frame, where [R^T R, B] are the moments of its noise in z, and of
+    what the chain before it says of it, with the rest: their squares are what integrating it out takes away. Returns
+    the log determinant."""
+    A, inverse, unit = np.empty((6, 6)), np.empty((6, 6)), np.eye(6)
+    prior, carried = np.eye(6), np.zeros(known.shape[1:])
     log_determinant = 0.0
     for f in range(len(moments)):
         innovation = 1.0 - rho[f] * rho[f]
         forward = rho[f] / innovation
+        B = known[f]
         A[:], B[:] = prior, carried
         _to_noise(moments[f], L[f], A, B)
         for i in range(6):
             A[i, i] += rho[f] * forward
         log_determinant += _factorise(A) + 6.0 * math.log(innovation)
         _solve_transposed(A, B)
-        for i in range(size):
-            for j in range(i, size):
-                value = moments[f, 6 + i, 6 + j]
-                for k in range(6):
-                    value -= B[k, i] * B[k, j]
-                total[i, j] += value
         prior[:], carried[:] = unit, 0.0
         if forward > 0.0:
-            _solve(A, B)
+            carried[:] = B
+            _solve(A, carried)
+            carried *= forward
             inverse[:] = unit
             _solve_transposed(A, inverse)
             _solve(A, inverse)
             prior[:] = unit / innovation - forward * forward * inverse
-            carried[:] = forward * B
     return log_determinant

@@ -20,7 +20,7 @@ from scipy.stats import chi2
 
 from factors.rigid import inverse
 from gtcal.camera import BoolArray, FloatArray
-from gtcal.estimation.frame_statistics import SMALLEST_CORRELATION, FrameMoments, eliminate_noise, regular
+from gtcal.estimation.frame_statistics import SMALLEST_CORRELATION, FrameMoments, regular, subtract_noise
 from gtcal.estimation.options import MocapSigmas
 from gtcal.recordings.capture import RefMotion
 from gtcal.recordings.detections import IntArray
@@ -302,13 +302,17 @@ class _Likelihood:
         taken = np.linalg.solve(known * np.outer(scale, scale), (known - alone) * np.outer(scale, scale))
         return float(6 * len(rows) - np.trace(taken))
 
+    @cached_property
+    def _of_frames_and_priors(self) -> FloatArray:
+        return self.information + self.frames.exact.sum(axis=0)
+
     def eliminated(self, logs: FloatArray, times: float = 1.0) -> tuple[FloatArray, float]:
         """(P + 1, P + 1) sums of the unknowns, the priors' among them, with the mocap's noise integrated out, and the
         log determinant; with its sigmas so many ``times`` as large."""
-        total = self.information.copy()
+        total = self._of_frames_and_priors.copy()
         L = times * lower_factors(self.covariance(logs))
         rho = correlations(self.frames.stamps_ns, float(np.exp(logs[-1])))
-        log_determinant = eliminate_noise(self.frames.moments, L, rho, total)
+        log_determinant = subtract_noise(self.frames.moments, L, rho, total)
         return np.triu(total) + np.triu(total, 1).T, log_determinant
 
     def cost(self, logs: FloatArray) -> float:

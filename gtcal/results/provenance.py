@@ -10,17 +10,18 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
+from gtcal.differences.difference import DifferenceOptions
 from gtcal.estimation.options import CalibrationOptions
 from gtcal.files import InputFile
 from gtcal.results.calibration import Provenance
 from gtcal.verification.verification import VerificationOptions
 
+Options = CalibrationOptions | VerificationOptions | DifferenceOptions
+
 _LIBRARIES = ("gtcal", "gtsam", "numpy", "numba", "opencv-contrib-python-headless", "scipy")
 
 
-def provenance(
-    options: CalibrationOptions | VerificationOptions, inputs: tuple[InputFile, ...], duration_s: float
-) -> Provenance:
+def provenance(options: Options, inputs: tuple[InputFile, ...], duration_s: float) -> Provenance:
     """The circumstances of a result computed just now."""
     return Provenance(
         created_utc=datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
@@ -39,7 +40,7 @@ def _version(library: str) -> str:
         return "not installed as a package"
 
 
-def _plain(options: CalibrationOptions | VerificationOptions) -> dict[str, Any]:
+def _plain(options: Options) -> dict[str, Any]:
     """As JSON knows it: tuples as lists."""
     fields = {name: value for name, value in vars(options).items() if name != "priors"}
     plain = {name: list(value) if isinstance(value, tuple) else _as_fields(value) for name, value in fields.items()}

@@ -1,4 +1,9 @@
-"""Two calibrations from two halves of a recording: do they differ by more than their covariances say?"""
+"""Two calibrations from two halves of a recording: do they differ by more than the covariance of the whole recording
+says?
+
+That covariance is what the user relies on, and half of a short recording may be too little to have a true one of its
+own. The halves' covariances give the shape of what is expected, the whole one's gives the size: C_1 and C_2 combine to
+M = (C_1^-1 + C_2^-1)^-1, and (C_1 + C_2) (det C / det M)^(1 / dof) is what the difference is held against."""
 
 from __future__ import annotations
 
@@ -23,7 +28,7 @@ UNLIKELY = 0.01
 class Difference:
     """Between the halves, of a camera's pose (``camera``), its intrinsics, the board's pose, or all of it.
 
-    distance2: squared, in units of the sum of the covariances; dof: its degrees of freedom.
+    distance2: squared, in units of what the covariance of the whole recording lets expect; dof: its degrees of freedom.
     position_mm, angle_deg: of a pose, else NaN."""
 
     what: str
@@ -57,7 +62,8 @@ class SplitHalf:
     @property
     def statement(self) -> str:
         """The outcome in a sentence."""
-        found = f"the halves differ by {np.sqrt(self.overall.per_dof):.2f} of what their covariances let expect"
+        expected = "what the whole recording's covariance lets expect"
+        found = f"the halves differ by {np.sqrt(self.overall.per_dof):.2f} of {expected}"
         if self.agrees:
             return f"{found}: they agree"
         worst = max(self.by_unknown, key=lambda difference: difference.per_dof)
@@ -67,16 +73,34 @@ class SplitHalf:
         )
 
 
-def split_half(first: Calibration, second: Calibration) -> SplitHalf:
-    """Compare the calibrations of two halves of the same recording.
+def split_half(first: Calibration, second: Calibration, whole: Calibration | None = None) -> SplitHalf:
+    """Compare the calibrations of two halves of a recording by the covariance of all of it; by the sum of their own,
+    where that is not given.
 
     Raises GtcalError where one has no covariance."""
-    if first.covariance is None or second.covariance is None:
+    own_first, own_second = _covariance(first), _covariance(second)
+    expected = own_first.matrix + own_second.matrix
+    if whole is not None:
+        expected = _sized(expected, own_first.matrix, own_second.matrix, _covariance(whole).matrix)
+    unknowns = list(_deviations(first, second, own_first))
+    by_unknown = tuple(_difference(what, xi, expected[own, own], first, second) for what, own, xi in unknowns)
+    overall = _difference("all", np.concatenate([xi for *_, xi in unknowns]), expected, first, second)
+    return SplitHalf(overall, by_unknown)
+
+
+def _covariance(calibration: Calibration) -> JointCovariance:
+    if calibration.covariance is None:
         raise GtcalError("half of the recording leaves a direction open: record longer")
-    sum_of = first.covariance.matrix + second.covariance.matrix
-    unknowns = list(_deviations(first, second, first.covariance))
-    by_unknown = tuple(_difference(what, xi, sum_of[columns, columns], first, second) for what, columns, xi in unknowns)
-    return SplitHalf(_difference("all", np.concatenate([xi for *_, xi in unknowns]), sum_of, first, second), by_unknown)
+    return calibration.covariance
+
+
+def _sized(expected: FloatArray, first: FloatArray, second: FloatArray, whole: FloatArray) -> FloatArray:
+    """(P, P) the expected covariance of the halves' difference, as large as the whole recording's covariance says."""
+    scale = np.diag(1.0 / np.sqrt(np.diag(whole)))
+    first, second, whole = (scale @ matrix @ scale for matrix in (first, second, whole))
+    information = np.linalg.inv(first) + np.linalg.inv(second)
+    size = np.exp((np.linalg.slogdet(whole)[1] + np.linalg.slogdet(information)[1]) / len(whole))
+    return np.asarray(size * expected)
 
 
 def _deviations(

@@ -3,29 +3,40 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from gtcal.errors import GtcalError
+from gtcal.estimation.estimate import Estimate
 from gtcal.estimation.observations import Observations
 from gtcal.estimation.options import CalibrationOptions
 from gtcal.estimation.solver import calibrate_observations
 from gtcal.progress import Progress, silent
+from gtcal.recordings.detections import IntArray
 from gtcal.recordings.recording import Recording
 from gtcal.results.calibration import Calibration, Provenance
 from gtcal.results.provenance import provenance
 from gtcal.selfchecks.chain_and_pnp import ChainAndPnp, chain_and_pnp
-from gtcal.selfchecks.folds import HoldOut, hold_out
+from gtcal.selfchecks.folds import HoldOut, hold_out, taken, typical_px
 from gtcal.selfchecks.halves import SplitHalf, split_half
 from gtcal.selfchecks.time_blocks import only_frames, time_blocks
 from gtcal.workflow import prepared
+
+FAR = 2.0
+"""A block of time that is predicted worse than the others by so many times is named."""
+
+_LEAST_FOLDS = 2
 
 
 @dataclass(frozen=True)
 class SelfCheck:
     """The outcome of all checks.
 
-    halves: None where half of the recording determines no calibration; ``notes`` say why.
-    hold_outs: of the default estimate first, then by stage. cameras: chain against PnP."""
+    halves: None where half of the recording determines no calibration. hold_outs: of the default estimate first, then
+    by stage. cameras: chain against PnP. notes: which half or block of time determines none, and which block the
+    others do not predict."""
 
     halves: SplitHalf | None
     n_folds: int
@@ -69,34 +80,77 @@ def check_observations(
     progress("calibrating all of it", 0, 1)
     whole = calibrate_observations(observations, options)
     progress("calibrating all of it", 1, 1)
-    blocks = time_blocks(observations, n_folds)
-    folds = []
-    for k in range(n_folds):
-        progress("calibrating without each block of time", k, n_folds)
-        folds.append(calibrate_observations(only_frames(observations, blocks != k), options))
-    progress("calibrating without each block of time", n_folds, n_folds)
     assert whole.solution is not None
     views, estimate = whole.solution.views, whole.solution.estimate
+    blocks = time_blocks(observations, n_folds)
+    folds, failed = _folds(observations, blocks, options, progress)
     hold_outs = hold_out(folds, blocks, views)
-    halves, notes = _halves(observations, options, progress)
+    halves, of_halves = _halves(observations, whole, options, progress)
     by_camera_px = hold_outs[0].by_camera_px
     cameras = tuple(chain_and_pnp(of_camera, estimate, by_camera_px[name]) for name, of_camera in views.items())
+    notes = (*of_halves, *failed, *_not_predicted(folds, estimate, observations, blocks))
     made = provenance(options, (), time.perf_counter() - started)
     return SelfCheck(halves, n_folds, hold_outs, cameras, whole, notes, made)
 
 
+def _folds(
+    observations: Observations, blocks: IntArray, options: CalibrationOptions, progress: Progress
+) -> tuple[dict[int, Calibration], tuple[str, ...]]:
+    """By block of time, the calibration without it; and a note for each block without which there is none.
+
+    Raises GtcalError where fewer than two are left."""
+    n_folds = int(blocks.max()) + 1
+    found: dict[int, Calibration] = {}
+    failed: list[str] = []
+    for k in range(n_folds):
+        progress("calibrating without each block of time", k, n_folds)
+        try:
+            found[k] = calibrate_observations(only_frames(observations, blocks != k), options)
+        except GtcalError as error:
+            failed.append(f"{_block(observations, blocks, k)}: the rest of the recording gives no calibration: {error}")
+    progress("calibrating without each block of time", n_folds, n_folds)
+    if len(found) < _LEAST_FOLDS:
+        raise GtcalError(f"too little can be left out of this recording to check it by itself; {failed[0]}")
+    return found, tuple(failed)
+
+
+def _not_predicted(
+    folds: Mapping[int, Calibration], whole: Estimate, observations: Observations, blocks: IntArray
+) -> tuple[str, ...]:
+    """A note for each block of time that the others predict far worse than they predict one another."""
+    held_out_px = {k: typical_px(taken(fold), blocks, observations.views, k) for k, fold in folds.items()}
+    median_px = float(np.median(list(held_out_px.values())))
+    notes = []
+    for k in (k for k, found_px in held_out_px.items() if found_px > FAR * median_px):
+        why = (
+            "something differs in that time: a body, a camera or a clock that moved"
+            if typical_px(whole, blocks, observations.views, k) > FAR * median_px
+            else "only that time shows some of what is solved for: record such motion throughout"
+        )
+        notes.append(
+            f"{_block(observations, blocks, k)}: predicted to {held_out_px[k]:.3g} px by a calibration without it, the "
+            f"blocks typically to {median_px:.3g} px (medians); {why}"
+        )
+    return tuple(notes)
+
+
+def _block(observations: Observations, blocks: IntArray, k: int) -> str:
+    frames_s = 1e-9 * (observations.frame_stamps_ns - observations.frame_stamps_ns[0])[blocks == k]
+    return f"block {k + 1} of {int(blocks.max()) + 1} ({frames_s[0]:.2f} to {frames_s[-1]:.2f} s)"
+
+
 def _halves(
-    observations: Observations, options: CalibrationOptions, progress: Progress
+    observations: Observations, whole: Calibration, options: CalibrationOptions, progress: Progress
 ) -> tuple[SplitHalf | None, tuple[str, ...]]:
     """The first half against the second, so that what drifts or moves in between shows; or why not."""
     blocks = time_blocks(observations, 2)
-    found: list[Calibration] = []
+    progress("calibrating the halves", 0, 2)
     try:
-        for half in range(2):
-            progress("calibrating the halves", half, 2)
-            found.append(calibrate_observations(only_frames(observations, blocks == half), options))
+        first = calibrate_observations(only_frames(observations, blocks == 0), options)
+        progress("calibrating the halves", 1, 2)
+        second = calibrate_observations(only_frames(observations, blocks == 1), options)
         progress("calibrating the halves", 2, 2)
-        return split_half(*found), ()
+        return split_half(first, second, whole), ()
     except GtcalError as error:
         return None, (f"no split-half check, as half of the recording determines no calibration: {error}",)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import asdict
+from math import isfinite
 from pathlib import Path
 from typing import Any
 
@@ -61,10 +62,15 @@ def _pose(difference: Difference) -> dict[str, float]:
     return {"position_mm": difference.position_mm, "angle_deg": difference.angle_deg}
 
 
+def _number(value: float) -> float | None:
+    return value if isfinite(value) else None
+
+
 def _hold_out(hold_out: HoldOut) -> dict[str, Any]:
     return {
         "estimate": "as taken" if hold_out.stage == DEFAULT else f"stage {hold_out.stage}",
         "rmse_px": hold_out.rmse_px,
-        "rmse_by_camera_px": hold_out.by_camera_px,
+        "rmse_by_camera_px": {name: _number(rmse_px) for name, rmse_px in hold_out.by_camera_px.items()},
+        "rmse_by_block_px": {f"{k + 1}": _number(rmse_px) for k, rmse_px in hold_out.by_block_px.items()},
         "position_spread_mm": hold_out.spread_mm,
     }

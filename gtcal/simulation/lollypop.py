@@ -7,7 +7,6 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from factors.rigid import inverse
 from gtcal.camera import Camera, FloatArray
@@ -23,6 +22,7 @@ from gtcal.results.calibration import (
     ResidualStatistics,
 )
 from gtcal.simulation.corners import CornerNoise, PosesAfter, measured_corners
+from gtcal.simulation.fault import RigFault
 from gtcal.simulation.filming import film
 from gtcal.simulation.motion import still
 from gtcal.simulation.noise import MocapNoise
@@ -31,45 +31,12 @@ from gtcal.simulation.rendering import ImageOptions
 from gtcal.simulation.rig import Rig, quest3_like_rig
 from gtcal.simulation.scene import LEAD_S, Scene, random_scene
 from gtcal.simulation.simulate import Simulation, camera_T_board_after, simulate_in, stamps_ns
-from gtcal.simulation.transforms import transform
 from gtcal.simulation.visibility import ViewLimits
 from gtcal.simulation.writing import check_empty
 from gtcal.verification.lollypop import DEVICE_PRESETS, PAPER_LOLLYPOP, Lollypop
 from gtcal.verification.lollypop_recording import LollypopRecording, write_lollypop_recording
 
 _FACE_STREAM = 1000  # the random numbers of the second face's corners and on are those of cameras that do not exist
-
-
-@dataclass(frozen=True)
-class RigFault:
-    """What happened to a rig since its calibration.
-
-    markers: (4, 4) with camera_T_ref * markers the true extrinsic of every camera: the platform's markers were
-        bumped (or, with fixed cameras, the mocap's world was moved).
-    cameras: by name (4, 4) with cameras[name] * camera_T_ref the camera's true extrinsic: the camera was moved.
-    focal_shares: by name, by what share of itself the focal length grew: the lens warmed up.
-    device_centre_m: how far the device's faces lie from where they belong in its body: a disc was lost.
-    """
-
-    markers: FloatArray = field(default_factory=lambda: np.eye(4))
-    cameras: Mapping[str, FloatArray] = field(default_factory=dict)
-    focal_shares: Mapping[str, float] = field(default_factory=dict)
-    device_centre_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
-
-    def scaled(self, share: float) -> RigFault:
-        """The same fault, ``share`` of it."""
-        x, y, z = self.device_centre_m
-        return RigFault(
-            _scaled(self.markers, share),
-            {name: _scaled(moved, share) for name, moved in self.cameras.items()},
-            {name: share * grown for name, grown in self.focal_shares.items()},
-            (share * x, share * y, share * z),
-        )
-
-
-def small_motion(shift_mm: FloatArray | tuple[float, ...], turn_deg: FloatArray | tuple[float, ...]) -> FloatArray:
-    """(4, 4) of a shift (3,) and a rotation vector (3,)."""
-    return transform(Rotation.from_rotvec(np.deg2rad(turn_deg)), 1e-3 * np.asarray(shift_mm, dtype=np.float64))
 
 
 @dataclass(frozen=True)
@@ -102,10 +69,7 @@ class LollypopOptions:
     def __post_init__(self) -> None:
         if self.capture is Capture.STANDING_BOARD:
             raise GtcalError("capture: the Lollypop is tracked; choose tracked_platform or fixed_cameras")
-        names = [camera.name for camera in self.rig.cameras]
-        for name in (*self.fault.cameras, *self.fault.focal_shares):
-            if name not in names:
-                raise GtcalError(f"fault: camera {name!r} is not in the rig; cameras: {', '.join(names)}")
+        self.fault.check(self.rig)
 
 
 @dataclass(frozen=True)
@@ -136,7 +100,7 @@ def simulate_lollypop(options: LollypopOptions, *, seed: int) -> LollypopSimulat
     """Simulate a recording with detections in place of images. The seed decides everything; the motion does not depend
     on the noise, and hardly on the fault."""
     device = options.device
-    rig = _faulty_rig(options)
+    rig = replace(options.fault.of(options.rig), nearest_m=options.nearest_m, farthest_m=options.farthest_m)
     of_first_face = SimulationOptions(
         rig=rig,
         board=device.faces[0].board,
@@ -227,30 +191,6 @@ def exact_calibration(
         warnings=(),
         provenance=Provenance("", (), {}, {"simulated": True}, (), 0.0),
     )
-
-
-def _scaled(motion: FloatArray, share: float) -> FloatArray:
-    turn = Rotation.from_matrix(motion[:3, :3]).as_rotvec()
-    return transform(Rotation.from_rotvec(share * turn), share * motion[:3, 3])
-
-
-def _faulty_rig(options: LollypopOptions) -> Rig:
-    fault, rig = options.fault, options.rig
-    cameras = tuple(_warmed(camera, fault.focal_shares.get(camera.name, 0.0)) for camera in rig.cameras)
-    moved = np.stack([fault.cameras.get(camera.name, np.eye(4)) for camera in rig.cameras])
-    return replace(
-        rig,
-        cameras=cameras,
-        rig_T_camera=rig.rig_T_camera @ inverse(moved),
-        nearest_m=options.nearest_m,
-        farthest_m=options.farthest_m,
-    )
-
-
-def _warmed(camera: Camera, share: float) -> Camera:
-    theta = camera.theta.copy()
-    theta[:2] *= 1.0 + share
-    return replace(camera, parameters=theta)
 
 
 def _scene(options: LollypopOptions, rig: Rig, seed: int) -> Scene:

@@ -8,10 +8,12 @@ import numpy as np
 
 from gtcal.camera import Camera, FloatArray
 from gtcal.errors import GtcalError
+from gtcal.recordings.capture import Capture
 from gtcal.recordings.detections import IntArray
 from gtcal.recordings.recording import Recording
 from gtcal.recordings.trajectory import Trajectory
 from gtcal.simulation.corners import MeasuredCorners, PosesAfter, measured_corners
+from gtcal.simulation.fault import RigFault
 from gtcal.simulation.noise import MocapSamples, measured_body, random_swaps
 from gtcal.simulation.options import IntrinsicsError, SimulationOptions
 from gtcal.simulation.scene import Scene, random_scene
@@ -48,6 +50,38 @@ def simulate(options: SimulationOptions, *, seed: int) -> Simulation:
 
     Raises GtcalError for a negative seed."""
     return simulate_in(scene_of(options, seed=seed), options, seed=seed)
+
+
+_TAKES = 10_007  # a prime: no take of one seed is a take of the next
+
+
+def seed_of_take(seed: int, take: int) -> int:
+    """Of the motion and the noise of another recording of the rig of this seed. Raises GtcalError for a negative take
+    or seed."""
+    if min(seed, take) < 0:
+        raise GtcalError(f"seed is {seed} and take {take}; expected whole numbers, 0 or more")
+    return _TAKES * seed + take
+
+
+def simulate_take(options: SimulationOptions, *, seed: int, take: int, fault: RigFault | None = None) -> Simulation:
+    """Another recording of the rig and the board that ``simulate`` films with these options and this seed: the same
+    bodies, intrinsics and place in the room, but other motion and noise. fault: what happened to the rig before.
+
+    Raises GtcalError for a negative seed or take, or a fault of a camera that is not there."""
+    fault = fault or RigFault()
+    fault.check(options.rig)
+    first, own_seed = scene_of(options, seed=seed), seed_of_take(seed, take)
+    of_take = replace(options, rig=fault.of(options.rig))
+    own = scene_of(of_take, seed=own_seed)
+    scene = replace(
+        own,
+        rig_T_platform=first.rig_T_platform @ fault.markers,
+        boardbody_T_board=first.boardbody_T_board,
+        world_T_anchor=own.world_T_anchor if options.capture is Capture.TRACKED_PLATFORM else first.world_T_anchor,
+    )
+    simulation = simulate_in(scene, of_take, seed=own_seed)
+    stated = _stated_cameras(options, _stream(seed, "intrinsics"))
+    return replace(simulation, recording=replace(simulation.recording, cameras=stated))
 
 
 def scene_of(options: SimulationOptions, *, seed: int) -> Scene:
