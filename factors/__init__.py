@@ -7,6 +7,7 @@ from factors.camera_models import FISHEYE624 as FISHEYE624
 from factors.camera_models import KANNALA_BRANDT4 as KANNALA_BRANDT4
 from factors.camera_models import PINHOLE_RADTAN as PINHOLE_RADTAN
 from factors.camera_models import CameraModel as CameraModel
+from factors.priors import JointPriorFactor as JointPriorFactor
 from factors.priors import PoseMeasurementFactor as PoseMeasurementFactor
 from factors.priors import factory_intrinsics_prior as factory_intrinsics_prior
 from factors.priors import weak_intrinsics_prior as weak_intrinsics_prior

@@ -82,3 +82,38 @@ class PoseMeasurementFactor(gtsam.CustomFactor):
             return np.asarray(weights * xi)
 
         super().__init__(None, [key for key, _ in pose], residual)  # type: ignore[call-overload]
+
+
+class JointPriorFactor(gtsam.CustomFactor):
+    """Several variables known together: W d with W^T W = covariance^-1 and d their distances from the means, each in
+    its right tangent: Log(mean^-1 pose), rotation first, or value - mean.
+
+    means: (4, 4) of a Pose3, (K,) of a vector. covariance: (D, D), the tangents in the order of the keys.
+
+    Raises ValueError where the sizes differ, numpy.linalg.LinAlgError where the covariance is not positive definite."""
+
+    def __init__(
+        self, keys: Sequence[int], means: Sequence[npt.NDArray[np.float64]], covariance: npt.NDArray[np.float64]
+    ) -> None:
+        sizes = [6 if mean.ndim == 2 else len(mean) for mean in means]
+        if covariance.shape != (sum(sizes), sum(sizes)) or len(keys) != len(means):
+            raise ValueError(f"{covariance.shape=}, {len(keys)} keys, expected ({sum(sizes)},) * 2 and {len(means)}")
+        scale = 1.0 / np.sqrt(np.diag(covariance))
+        W = np.linalg.inv(np.linalg.cholesky(covariance * np.outer(scale, scale))) * scale
+        edges = np.concatenate([[0], np.cumsum(sizes)])
+        inverses = [gtsam.Pose3(mean).inverse() if mean.ndim == 2 else None for mean in means]
+
+        def residual(factor: gtsam.CustomFactor, values: gtsam.Values, jacobians: Jacobians) -> FloatArray:
+            distance = np.empty(edges[-1])
+            for i, (key, inverse, mean) in enumerate(zip(keys, inverses, means, strict=True)):
+                own = slice(edges[i], edges[i + 1])
+                if inverse is None:
+                    distance[own] = values.atVector(key) - mean
+                else:
+                    distance[own] = gtsam.Pose3.Logmap(inverse.compose(values.atPose3(key)))
+                if jacobians is not None:
+                    along = W[:, own] if inverse is None else W[:, own] @ gtsam.Pose3.LogmapDerivative(distance[own])
+                    jacobians[i] = np.asfortranarray(along)
+            return np.asarray(W @ distance)
+
+        super().__init__(None, list(keys), residual)  # type: ignore[call-overload]

@@ -10,6 +10,7 @@ from gtcal.blas import on_one_blas_thread
 from gtcal.camera import Camera
 from gtcal.clock.find import tested, with_clock, with_stated_readouts
 from gtcal.detection.detect import cached_detect
+from gtcal.differences.carried_over import EarlierCalibration, known_from, with_earlier_lenses
 from gtcal.doctor.hint import likely_mistake, looks_wrong
 from gtcal.effects.find import with_effects
 from gtcal.effects.segments import in_segments
@@ -27,20 +28,33 @@ from gtcal.results.calibration import Calibration, Clock, StageReport
 
 @on_one_blas_thread
 def calibrate(
-    recording: Recording, options: CalibrationOptions | None = None, *, progress: Progress = silent
+    recording: Recording,
+    options: CalibrationOptions | None = None,
+    *,
+    earlier: EarlierCalibration | None = None,
+    progress: Progress = silent,
 ) -> Calibration:
-    """Calibrate a recording; cameras that have only images are detected first.
+    """Calibrate a recording; cameras that have only images are detected first. earlier: a calibration of the same rig,
+    of which all that has not moved since is known already.
 
     Raises GtcalError with one line on what is wrong: intrinsics missing, too few views, a degenerate motion, no time
     in common, or files that contradict each other (DisagreementError, with the likely mistake if one is found)."""
     options = options or CalibrationOptions()
     recording = detected(recording, progress=progress)
+    if earlier is not None:
+        recording = replace(recording, cameras=with_earlier_lenses(recording.cameras, earlier))
     as_stamped, reports = _with_intrinsics(synchronise(recording), options, progress)
+    inputs = (*recording.inputs, *((earlier.file,) if earlier is not None and earlier.file is not None else ()))
+
+    def solve(views: Observations, chosen: CalibrationOptions) -> Calibration:
+        return calibrate_observations(views, chosen, progress=progress, inputs=inputs, earlier=reports)
+
     try:
         observations, clock = _on_the_mocaps_clock(as_stamped, options, progress)
-        calibration = calibrate_observations(
-            observations, options, progress=progress, inputs=recording.inputs, earlier=reports
-        )
+        carried_over = None
+        if earlier is not None:
+            observations, options, carried_over = known_from(earlier, observations, options, solve)
+        calibration = replace(solve(observations, options), carried_over=carried_over)
     except DisagreementError as error:
         hint = likely_mistake(as_stamped, seed=options.seed, max_views=options.pnp_views)
         raise DisagreementError(error.angle_deg, hint, doctor=_doctor(recording)) from error
@@ -55,9 +69,7 @@ def calibrate(
             calibration,
             observations,
             options,
-            lambda views: calibrate_observations(
-                views, options, progress=progress, inputs=recording.inputs, earlier=reports
-            ),
+            lambda views: solve(views, options),
         )
     return with_effects(calibration, observations, options) if options.effects else calibration
 

@@ -9,6 +9,7 @@ import tyro
 
 if TYPE_CHECKING:
     from factors import RobustKernel
+    from gtcal.differences.carried_over import EarlierCalibration, Part
     from gtcal.estimation.options import IntrinsicsMode, MocapSigmas
     from gtcal.progress import Progress
     from gtcal.recordings.recording import Recording
@@ -47,6 +48,10 @@ def calibrate(
     kernel_parameter: float | None = None,
     graduated: bool = False,
     priors: Path | None = None,
+    from_: Annotated[Path | None, tyro.conf.arg(name="from", metavar="CALIBRATION")] = None,
+    from_parts: tuple[Literal["lenses", "board", "rig"], ...] = ("lenses", "board", "rig"),
+    from_days: float | None = None,
+    from_growth: tuple[float, float, float] = (0.1, 0.01, 0.1),
     sigma_px: float | None = None,
     mocap_noise: Literal["estimate", "exact"] = "estimate",
     mocap_sigma_mm: float | None = None,
@@ -103,6 +108,14 @@ def calibrate(
             --no-screen where screening by medians would fail.
         priors: YAML file of what is known beforehand, with sigmas: of the board in its body, of cameras in the rig
             or in each other's frames, of intrinsics (see the README).
+        from_: calibration.json of an earlier calibration of the same rig. What has not moved since (each camera on the
+            rig, each lens, the board on its body) is known from it, as surely as it says, less by the day; what has
+            moved is named and found anew. For recordings too short to tell all by themselves, and to be surer with
+            others.
+        from_parts: What to take of it.
+        from_days: Days between the two; by default from when the earlier calibration was made until now.
+        from_growth: By how much less is known after a day, 1-sigma, growing with the root of the days: mm and deg of
+            each camera and the board, and a share of what a factory's intrinsics are off by.
         sigma_px: Standard deviation of a corner's coordinate; by default estimated from the residuals.
         mocap_noise: 'estimate': stage 4 estimates the mocap's noise from the recording and models it, for a more
             accurate estimate and a covariance that is true; stage 3's is taken where it predicts held-out frames
@@ -167,15 +180,34 @@ def calibrate(
         allow_degenerate=allow_degenerate,
     )
     loaded = load_recording(recording)
-    check_outputs((output, report), (*loaded.files, *((priors,) if priors is not None else ())))
+    earlier = None if from_ is None else _earlier(from_, from_parts, from_days, from_growth)
+    check_outputs((output, report), (*loaded.files, *(path for path in (priors, from_) if path is not None)))
     with shown_progress(quiet) as progress:
-        calibration = run(loaded, options, progress=progress)
+        calibration = run(loaded, options, earlier=earlier, progress=progress)
         if report is not None:
             _write_report(report, calibration, loaded, progress)
     write_calibration(output, calibration)
     if not quiet:
         print_calibration(calibration, notes=loaded.notes, verbose=verbose)
         print(f"written: {output}" + (f", {report}" if report is not None else ""))
+
+
+def _earlier(
+    path: Path, parts: tuple[Part, ...], days: float | None, growth: tuple[float, float, float]
+) -> EarlierCalibration:
+    import datetime
+
+    from gtcal.differences.carried_over import EarlierCalibration
+    from gtcal.estimation.earlier import Growth
+    from gtcal.files import fingerprint
+    from gtcal.results.calibration_file import read_calibration
+
+    found = read_calibration(path)
+    if days is None:
+        since = datetime.datetime.now(datetime.UTC) - datetime.datetime.fromisoformat(found.provenance.created_utc)
+        days = max(since.total_seconds() / 86400.0, 0.0)
+    mm, deg, lens = growth
+    return EarlierCalibration(found, Growth(mm, deg, lens, days), parts, fingerprint(path))
 
 
 def intrinsics_mode(stated: IntrinsicsMode, *, calibrate: bool, refine: bool) -> IntrinsicsMode:

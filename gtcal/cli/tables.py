@@ -39,6 +39,9 @@ def print_calibration(calibration: Calibration, *, notes: Sequence[str] = (), ve
     parts += [effect_table(shown)] if shown else []
     if calibration.mocap_noise is not None:
         parts.append(Text(f"stage {calibration.mocap_noise.stage} taken: {calibration.mocap_noise.reason}"))
+    if calibration.carried_over is not None:
+        parts.append(Text(calibration.carried_over.statement))
+        parts += [Text(f"since then: {line}", style="yellow") for line in calibration.carried_over.moved]
     if calibration.clock is not None and calibration.clock.corrected:
         parts.append(Text(f"clock: {calibration.clock.statement} added to the cameras' stamps"))
         parts += [Text(f"clock: {line}") for line in calibration.clock.readout_statements]

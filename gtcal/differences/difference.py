@@ -159,11 +159,15 @@ class Difference:
         return max((change.verdict(self.options) for change in self.changes), key=order.index)
 
     @property
+    def moved_statements(self) -> tuple[str, ...]:
+        """What moved, in a sentence each."""
+        return tuple(_sentence(change, self.options) for change in self.changes if change.moved)
+
+    @property
     def statements(self) -> tuple[str, ...]:
         """What moved, in a sentence each; or that nothing did."""
-        found = tuple(_sentence(change, self.options) for change in self.changes if change.moved)
-        if found:
-            return found
+        if self.moved_statements:
+            return self.moved_statements
         untold = [c.what for c in self.changes if c.verdict(self.options) is Verdict.UNTOLD]
         if untold:
             return (

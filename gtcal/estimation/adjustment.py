@@ -38,6 +38,10 @@ MAX_ROUNDS = 6
 NARROWING = 1.4
 """A kernel's width from step to step of graduated non-convexity: as in Yang et al. (2020)."""
 
+KNOWN_OTHERWISE = 1e3
+"""What an earlier calibration knows holds what was known before it: that counts by so many times its sigma, and no
+second time."""
+
 MEDIAN_LENGTH = float(np.sqrt(2.0 * np.log(2.0)))
 """Median length of a 2-D Gaussian vector with unit sigma in each coordinate (Rayleigh)."""
 
@@ -156,14 +160,16 @@ def _graph(
         intrinsics_priors=priors,
         shape_sigmas=shape_sigmas(screened.views, options, lens_weight),
     )
-    add_user_priors(graph, screened.views, options)
+    add_user_priors(graph, screened.views, options, lens_weight)
     return graph
 
 
-def add_user_priors(graph: gtsam.NonlinearFactorGraph, views: Mapping[str, Views], options: CalibrationOptions) -> None:
-    """A factor for each of the options' priors."""
+def add_user_priors(
+    graph: gtsam.NonlinearFactorGraph, views: Mapping[str, Views], options: CalibrationOptions, lens_weight: float = 1.0
+) -> None:
+    """A factor for each of the options' priors; of what an earlier calibration knows, ``lens_weight`` times."""
     cameras = {name: of_camera.camera for name, of_camera in views.items()}
-    for _, factor in prior_factors(options.priors, cameras, free_theta=options.refine_intrinsics):
+    for _, factor in prior_factors(options.priors, cameras, free_theta=options.refine_intrinsics, weight=lens_weight):
         graph.add(factor)
 
 
@@ -180,13 +186,19 @@ def shape_sigmas(
     """(5,) of the board's shape, with ``lens_weight`` times their information; None where it is not solved for."""
     if not options.solves_board_shape:
         return None
-    return np.asarray(next(iter(views.values())).shape_sigmas / np.sqrt(lens_weight))
+    earlier = options.priors.earlier
+    known = earlier is not None and earlier.board_shape is not None
+    sigmas = next(iter(views.values())).shape_sigmas * (KNOWN_OTHERWISE if known else 1.0)
+    return np.asarray(sigmas / np.sqrt(lens_weight))
 
 
 def _prior(views: Views, options: CalibrationOptions, lens_weight: float) -> IntrinsicsPrior:
     if not options.trusts_stated_intrinsics:
         return IntrinsicsPrior(None)
-    return IntrinsicsPrior(lens_sigmas(views.camera, options) / np.sqrt(lens_weight))
+    earlier = options.priors.earlier
+    known = earlier is not None and views.camera.name in earlier.theta
+    sigmas = lens_sigmas(views.camera, options) * (KNOWN_OTHERWISE if known else 1.0)
+    return IntrinsicsPrior(sigmas / np.sqrt(lens_weight))
 
 
 def _sigma_px(screened: Screened, options: CalibrationOptions) -> float:

@@ -297,7 +297,7 @@ def priors_graph(
     sigmas = shape_sigmas(views, options, lens_weight)
     if sigmas is not None:
         graph.add(shape_prior(sigmas))
-    add_user_priors(graph, views, options)
+    add_user_priors(graph, views, options, lens_weight)
     return graph
 
 

@@ -7,10 +7,14 @@ coefficient is taken to be off by what moves some pixel of the image by as much 
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from gtcal.camera import Camera, FloatArray
-from gtcal.estimation.options import CalibrationOptions
+
+if TYPE_CHECKING:
+    from gtcal.estimation.options import CalibrationOptions
 
 FACTORY_FOCAL = 3e-3
 """1-sigma of a stated focal length, as a share of it."""
@@ -26,7 +30,7 @@ def lens_sigmas(camera: Camera, options: CalibrationOptions) -> FloatArray:
     cameras, else those stated with the camera, else a factory's.
 
     Raises GtcalError where the camera has no intrinsics."""
-    sigmas = _factory_sigmas(camera)
+    sigmas = sigmas_of(camera, FACTORY_FOCAL, FACTORY_PX)
     if camera.theta_sigmas is not None:
         sigmas = np.where(np.isnan(camera.theta_sigmas), sigmas, camera.theta_sigmas)
     given = (options.focal_sigma_px, options.centre_sigma_px, options.distortion_sigma)
@@ -36,10 +40,12 @@ def lens_sigmas(camera: Camera, options: CalibrationOptions) -> FloatArray:
     return sigmas
 
 
-def _factory_sigmas(camera: Camera) -> FloatArray:
+def sigmas_of(camera: Camera, focal_share: float, px: float) -> FloatArray:
+    """(K,) 1-sigma of each parameter where the focal length is known to a share of itself, the principal point to so
+    many px, and a distortion coefficient to what moves some pixel of the image by these."""
     largest_px = np.linalg.norm(moves_px(camera), axis=1).max(axis=0, initial=1e-9)
-    sigmas = FACTORY_PX / largest_px
-    sigmas[:2], sigmas[2:4] = FACTORY_FOCAL * camera.theta[:2], FACTORY_PX
+    sigmas = px / largest_px
+    sigmas[:2], sigmas[2:4] = focal_share * camera.theta[:2], px
     return sigmas
 
 

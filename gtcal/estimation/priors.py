@@ -16,6 +16,7 @@ from scipy.stats import chi2
 from factors import PoseMeasurementFactor, factory_intrinsics_prior
 from gtcal.camera import Camera, FloatArray
 from gtcal.errors import GtcalError
+from gtcal.estimation.earlier import Earlier
 from gtcal.estimation.graph import BODY_T_BOARD, camera_T_ref_key, theta_key
 
 UNLIKELY = 1e-3
@@ -61,20 +62,23 @@ class Priors:
     """All that is known beforehand.
 
     body_T_board: X. ref_T_camera: by camera. camera_a_T_camera_b: by (a, b).
-    intrinsics: by camera, by parameter: (value, sigma), in the parameter's unit."""
+    intrinsics: by camera, by parameter: (value, sigma), in the parameter's unit.
+    earlier: what an earlier calibration knows of all of it together."""
 
     body_T_board: PosePrior | None = None
     ref_T_camera: Mapping[str, PosePrior] = field(default_factory=dict)
     camera_a_T_camera_b: Mapping[tuple[str, str], PosePrior] = field(default_factory=dict)
     intrinsics: Mapping[str, Mapping[str, tuple[float, float]]] = field(default_factory=dict)
+    earlier: Earlier | None = None
 
     @property
     def of_poses(self) -> bool:
         """Whether anything is known of a pose."""
-        return bool(self.body_T_board or self.ref_T_camera or self.camera_a_T_camera_b)
+        earlier = self.earlier is not None and (self.earlier.body_T_board is not None or self.earlier.camera_T_ref)
+        return bool(self.body_T_board or self.ref_T_camera or self.camera_a_T_camera_b or earlier)
 
     def __bool__(self) -> bool:
-        return self.of_poses or bool(self.intrinsics)
+        return self.of_poses or bool(self.intrinsics) or self.earlier is not None
 
     def document(self) -> dict[str, object]:
         """As JSON knows it."""
@@ -84,13 +88,15 @@ class Priors:
             "ref_T_camera": {name: vars(prior) for name, prior in self.ref_T_camera.items()},
             "camera_a_T_camera_b": between,
             "intrinsics": {name: dict(known) for name, known in self.intrinsics.items()},
+            "earlier": None if self.earlier is None else list(self.earlier.kept),
         }
 
 
 def prior_factors(
-    priors: Priors, cameras: Mapping[str, Camera], *, free_theta: bool
+    priors: Priors, cameras: Mapping[str, Camera], *, free_theta: bool, weight: float = 1.0
 ) -> Iterator[tuple[str, gtsam.NonlinearFactor]]:
-    """A factor for each prior, with what it is of, in words. cameras: in the order of the recording.
+    """A factor for each prior, with what it is of, in words. cameras: in the order of the recording. weight: how many
+    times its information what an earlier calibration knows counts.
 
     Raises GtcalError for a camera or a parameter that is not there, or intrinsics that are fixed."""
     index = {name: i for i, name in enumerate(cameras)}
@@ -110,6 +116,10 @@ def prior_factors(
         if not free_theta:
             raise GtcalError(f"a prior is of the intrinsics of {name!r}, but they are fixed: refine them")
         yield f"the intrinsics of {name}", _intrinsics_factor(theta_key(index[name]), cameras[name], known)
+    if priors.earlier is not None:
+        factor = priors.earlier.factor(index, weight)
+        if factor is not None:
+            yield "what an earlier calibration knows", factor
 
 
 def _intrinsics_factor(key: int, camera: Camera, known: Mapping[str, tuple[float, float]]) -> gtsam.NonlinearFactor:

@@ -17,6 +17,7 @@ from gtcal.files import InputFile
 from gtcal.recordings.capture import Capture
 from gtcal.recordings.detections import IntArray
 from gtcal.results.board_shape import BoardShape
+from gtcal.results.carried_over import CarriedOver
 from gtcal.results.covariance import JointCovariance
 from gtcal.results.effect_finding import EffectFinding
 from gtcal.results.lens_move import LensMove
@@ -315,6 +316,7 @@ class Calibration:
     segments: where it was calibrated in stretches between changes, those, in order of time; cameras and body_T_board
         are those of the first.
     board_shape: None where the board was taken as flat and as stated.
+    carried_over: what was taken from an earlier calibration; None where nothing was.
     solution: None where the calibration was read from a file."""
 
     capture: Capture
@@ -334,6 +336,7 @@ class Calibration:
     effects: tuple[EffectFinding, ...] = ()
     segments: tuple[Segment, ...] = ()
     board_shape: BoardShape | None = None
+    carried_over: CarriedOver | None = None
     solution: Solution | None = field(default=None, compare=False, repr=False)
 
     @property

@@ -38,6 +38,7 @@ from gtcal.results.calibration import (
     SmoothError,
     StageReport,
 )
+from gtcal.results.carried_over import CarriedOver
 from gtcal.results.covariance import JointCovariance
 from gtcal.results.effect_finding import EffectFinding, Moment, Quantity
 from gtcal.results.lens_move import LensMove
@@ -85,6 +86,7 @@ def _document(calibration: Calibration) -> dict[str, Any]:
         "mocap_noise": _mocap_noise_document(calibration.mocap_noise),
         "clock": asdict(calibration.clock) if calibration.clock else None,
         "effects": [asdict(finding) for finding in calibration.effects],
+        "carried_over": asdict(calibration.carried_over) if calibration.carried_over else None,
         "segments": [_segment_document(segment) for segment in calibration.segments],
         "stages": [_without_nan(asdict(stage)) for stage in calibration.stages],
         "dropped": [asdict(dropped) for dropped in calibration.dropped],
@@ -144,6 +146,13 @@ def _pose_document(pose: PoseEstimate) -> dict[str, Any]:
 def provenance_document(provenance: Provenance) -> dict[str, Any]:
     inputs = [{"path": str(entry.path), "sha256": entry.sha256} for entry in provenance.inputs]
     return asdict(provenance) | {"inputs": inputs, "command_line": list(provenance.command_line)}
+
+
+def _carried_over(block: dict[str, Any] | None) -> CarriedOver | None:
+    if block is None:
+        return None
+    kept, moved = tuple(map(str, block["kept"])), tuple(map(str, block["moved"]))
+    return CarriedOver(float(block["days"]), kept, moved, bool(block["alone"]))
 
 
 def _covariance_document(joint: JointCovariance) -> dict[str, Any]:
@@ -206,6 +215,7 @@ def _calibration(document: Mapping[str, Any]) -> Calibration:
         mocap_noise=_mocap_noise(document["mocap_noise"]),
         clock=None if document["clock"] is None else Clock(**document["clock"]),
         effects=tuple(_finding(block) for block in document.get("effects", ())),
+        carried_over=_carried_over(document.get("carried_over")),
         segments=tuple(_segment(block) for block in document.get("segments", ())),
         stages=tuple(_stage(block) for block in document["stages"]),
         dropped=tuple(_made(Dropped, block) for block in document["dropped"]),

@@ -1,0 +1,22 @@
+"""What a calibration took from an earlier one of the same rig."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class CarriedOver:
+    """days: between them. kept: what is known from the earlier one, in words; moved: a sentence on each thing that is
+    not as it was, and was found anew. alone: whether the recording determines a calibration without it."""
+
+    days: float
+    kept: tuple[str, ...]
+    moved: tuple[str, ...]
+    alone: bool
+
+    @property
+    def statement(self) -> str:
+        """In a line."""
+        kept = f"known from the earlier calibration ({self.days:.3g} days): {', '.join(self.kept) or 'nothing'}"
+        return kept if self.alone else f"{kept}; without it, the recording determines no calibration"
