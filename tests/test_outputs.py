@@ -35,6 +35,7 @@ READING: dict[str, tuple[list[str], str]] = {
     "uncertainty": (["cal.json"], "cal.json"),
     "verify": (["cal.json", "lollypop"], "lollypop/device_body.csv"),
     "drift": (["cal.json", "lollypop"], "cal.json"),
+    "diff": (["cal.json", "other.json"], "other.json"),
     "report": (["cal.json", "--recording", "rec", "--lollypop", "lollypop"], "rec/board_body.csv"),
     "export": (["cal.json", "--to", "kalibr", "--nearest"], "cal.json"),
     "convert": (["rec/platform.csv", "--to", "tum"], "rec/platform.csv"),
@@ -62,6 +63,7 @@ def ground(tmp_path_factory: pytest.TempPathFactory) -> Path:
     write_lollypop_simulation(simulate_lollypop(device, seed=2), folder / "lollypop", images=False)
     (folder / "board.yaml").write_text("preset: paper_a2\n")
     assert run("calibrate", folder / "rec", "-o", folder / "cal.json", "--no-effects", "-q").code == 0
+    (folder / "other.json").write_text((folder / "cal.json").read_text() + "\n")
     return folder
 
 

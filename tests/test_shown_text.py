@@ -66,6 +66,7 @@ def ground(tmp_path_factory: pytest.TempPathFactory) -> Path:
         )
         write(named, folder / name)
     assert run("calibrate", folder / "rec", "-o", folder / "cal.json", "--no-effects", "-q").code == 0
+    (folder / "other.json").write_text((folder / "cal.json").read_text() + "\n")
     return folder
 
 
@@ -77,6 +78,7 @@ def ground(tmp_path_factory: pytest.TempPathFactory) -> Path:
         ["calibrate", "rec", "--no-effects", "-v", "-o", "out.json", "--report", "out.html"],
         ["detect", "rec"],
         ["uncertainty", "cal.json"],
+        ["diff", "cal.json", "other.json", "-o", "out.json", "--figure", "out.svg"],
         ["verify", "cal.json", "LOLLYPOP", "-v", "-o", "out.json", "--report", "out.html", "--sightings", "out.csv"],
         ["drift", "cal.json", "LOLLYPOP", "-o", "out.json", "--csv", "out.csv", "--figure", "out.svg"],
         ["compare", "rec", "--lollypop", "LOLLYPOP"],
