@@ -15,7 +15,8 @@ from PIL import Image
 
 from factors.rigid import inverse
 from gtcal import Calibration, CalibrationOptions, GtcalError, calibrate, write_calibration
-from gtcal.differences.difference import ALL, BOARD, TO_EACH_OTHER, Difference, DifferenceOptions, Verdict, difference
+from gtcal.differences.difference import ALL, TO_EACH_OTHER, Difference, DifferenceOptions, Verdict, difference
+from gtcal.estimation.earlier import BOARD
 from gtcal.estimation.mocap_noise import adjoint
 from gtcal.recordings.capture import Capture
 from gtcal.simulation import MocapNoise

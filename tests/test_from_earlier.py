@@ -175,7 +175,7 @@ def test_the_command_goes_on_from_a_file(first: Simulation, earlier: EarlierCali
         "--from-parts", "lenses", "rig",
     )  # fmt: skip
     assert (ran.code, ran.err) == (0, "")
-    assert "known from the earlier calibration (3 days): front_left" in ran.out
+    assert "known from the earlier calibration (3 days ago): front_left" in ran.out
     assert "since then: side_left: moved by" in ran.out
     found = read_calibration(tmp_path / "c.json")
     assert "board" not in found.carried_over.kept

@@ -17,9 +17,12 @@ import gtsam
 import numpy as np
 from scipy.stats import chi2
 
+from factors.board_shape import N_SHAPE, outline_of, shaped
 from factors.rigid import inverse
+from gtcal.board import board_from_manifest
 from gtcal.camera import BoolArray, Camera, FloatArray
 from gtcal.errors import GtcalError
+from gtcal.estimation.earlier import BOARD, SHAPE, intrinsics_of
 from gtcal.estimation.mocap_noise import adjoint
 from gtcal.results.calibration import Calibration, pose_difference
 from gtcal.results.covariance import JointCovariance
@@ -37,7 +40,7 @@ UNLIKELY = 0.01
 AT_MOST_SIGMAS = 2.0
 """A difference is at most what was found and so many sigmas of it more."""
 
-ALL, TO_EACH_OTHER, BOARD = "all cameras together", "cameras to each other", "board"
+ALL, TO_EACH_OTHER = "all cameras together", "cameras to each other"
 
 _ROUNDS, _NO_STEP = 10, 1e-12
 
@@ -143,7 +146,8 @@ class PixelChange:
 @dataclass(frozen=True)
 class Difference:
     """aligned: B_ref_T_A_ref (4, 4), where ref was defined anew; the cameras' changes are then what is left of them.
-    changes: of all cameras together (where there are several), of each camera, of its intrinsics, of the board.
+    changes: of all cameras together (where there are several), of each camera, of its intrinsics, of the board and its
+    shape.
     pixels: by camera. notes: what was not compared, and why."""
 
     options: DifferenceOptions
@@ -213,6 +217,7 @@ def difference(a: Calibration, b: Calibration, options: DifferenceOptions | None
         *_of_cameras(poses, common, pixels),
         *_of_lenses(a, b, names, options.distance_m),
         *_of_the_board(a, b),
+        *_of_the_shape(a, b),
     ]
     counted = tuple(replace(change, n_compared=len(changes)) for change in changes)
     return Difference(options, counted, pixels, aligned, _notes(a, b))
@@ -379,7 +384,7 @@ def _of_lenses(a: Calibration, b: Calibration, names: tuple[str, ...], distance_
         J = J[both][:, :, 6:]
         moved_px = _rms(np.linalg.norm(after[both] - before[both], axis=1))
         expected_px = float(np.sqrt(np.einsum("nik,kl,nil->n", J, sigma, J).mean()))
-        change = Change(f"intrinsics of {name}", _distance2(xi, sigma), len(xi))
+        change = Change(intrinsics_of(name), _distance2(xi, sigma), len(xi))
         yield replace(change, rms_px=moved_px, expected_px=expected_px)
 
 
@@ -391,6 +396,20 @@ def _of_the_board(a: Calibration, b: Calibration) -> Iterator[Change]:
     moved_mm, turned_deg = pose_difference(first, second)
     distance2 = _distance2(_log(inverse(first) @ second), sigma)
     yield Change(BOARD, distance2, 6, moved_mm, *_sigmas(sigma, turned_deg))
+
+
+def _of_the_shape(a: Calibration, b: Calibration) -> Iterator[Change]:
+    """Where both solved for it. moved_mm, sigma_mm: RMS over the board's corners."""
+    if a.board != b.board or a.board_shape is None or b.board_shape is None:
+        return
+    corners_m = board_from_manifest(a.board).corners_m
+    outline_m, unit = outline_of(corners_m), np.eye(N_SHAPE)
+    J = np.stack([(shaped(corners_m, outline_m, column) - corners_m).ravel() for column in unit], axis=1)
+    xi, sigma = b.board_shape.shape - a.board_shape.shape, a.board_shape.covariance + b.board_shape.covariance
+    moved_mm, sigma_mm = (
+        1e3 * float(np.sqrt(square / len(corners_m))) for square in ((J @ xi) @ (J @ xi), np.trace(J @ sigma @ J.T))
+    )
+    yield Change(SHAPE, _distance2(xi, sigma), N_SHAPE, moved_mm, sigma_mm)
 
 
 def _pixel_change(

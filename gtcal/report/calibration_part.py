@@ -12,8 +12,10 @@ from gtcal.report.evidence import Evidence
 from gtcal.report.pictures import CAMERA_COLOURS, Picture
 from gtcal.report.residual_figures import covered_share, residual_pictures
 from gtcal.report.scene import BODY_NAMES, REF_NAMES, Scene, build_scene
+from gtcal.report.shape_figures import effect_picture, shape_picture
 from gtcal.report.uncertainty_part import UncertaintyPart, uncertainty_part
 from gtcal.results.calibration import Calibration, CameraCalibration, PoseEstimate, Segment
+from gtcal.results.carried_over import CarriedOver
 from gtcal.results.covariance import CLUSTERED, ERRORS_IN_VARIABLES, NAIVE
 from gtcal.results.effect_finding import EffectFinding
 from gtcal.verification.verification import Verification
@@ -79,14 +81,26 @@ class ParameterText:
 
 
 @dataclass(frozen=True)
+class LensMoveText:
+    """How far a group of intrinsics moved from what was known beforehand, each cell as text."""
+
+    group: str
+    sigmas: str
+    px: str
+    mm: str
+
+
+@dataclass(frozen=True)
 class CameraDetails:
-    """One camera in full. ``pictures`` is empty without a recording, or where it is not among the worst."""
+    """One camera in full. ``moves``: of intrinsics that were solved for near what was known. ``pictures`` is empty
+    without a recording, or where it is not among the worst."""
 
     row: CameraRow
     model: str
     image_size: str
     pose: PoseText
     parameters: tuple[ParameterText, ...]
+    moves: tuple[LensMoveText, ...]
     pictures: tuple[Picture, ...]
 
 
@@ -126,11 +140,14 @@ class CalibrationPart:
     details: tuple[CameraDetails, ...]
     board: str
     board_pose: PoseText
+    board_shape: Picture | None
+    carried_over: tuple[str, ...]
     covariance_meaning: str
     ref: str
     scene: Scene
     uncertainty: UncertaintyPart | None
     effects: tuple[EffectRow, ...]
+    effect_pictures: tuple[Picture, ...]
     segments: tuple[SegmentRow, ...]
 
 
@@ -159,13 +176,21 @@ def calibration_part(
         ),
         board=board_from_manifest(calibration.board).describe(),
         board_pose=_board_pose(calibration),
+        board_shape=shape_picture(calibration),
+        carried_over=_carried_over(calibration.carried_over),
         covariance_meaning=covariance_meaning(calibration),
         ref=REF_NAMES[calibration.capture],
         scene=build_scene(calibration, evidence, colours, verification),
         uncertainty=uncertainty_part(calibration, evidence, cameras=_worst(calibration)),
         effects=tuple(_effect(finding) for finding in calibration.effects),
+        effect_pictures=tuple(effect_picture(finding) for finding in calibration.effects if finding.significant),
         segments=tuple(_segment(segment) for segment in calibration.segments),
     )
+
+
+def _carried_over(found: CarriedOver | None) -> tuple[str, ...]:
+    """What is known from an earlier calibration, and what has moved since, a line each."""
+    return () if found is None else (f"{found.statement}.", *(f"Since then: {line}." for line in found.moved))
 
 
 def _effect(finding: EffectFinding) -> EffectRow:
@@ -261,7 +286,7 @@ def _tiles(calibration: Calibration) -> tuple[Tile, ...]:
             "Data",
             f"{n_views:,}",
             "view" if n_views == 1 else "views",
-            f"with {n_corners:,} corners; {left_out:,} views left out ({left_out / max(n_views + left_out, 1):.1%})",
+            f"with {n_corners:,} corners; {_count(left_out, 'view')} left out ({left_out / max(n_views + left_out, 1):.1%})",
         ),
     )
 
@@ -348,6 +373,10 @@ def _details(calibrated: CameraCalibration, row: CameraRow, pictures: tuple[Pict
         image_size=f"{camera.image_width_px} × {camera.image_height_px} px",
         pose=_pose("camera_T_ref", "takes coordinates in ref to the camera", pose, pose.position_of_a_in_b_sigma_mm),
         parameters=_parameters(calibrated),
+        moves=tuple(
+            LensMoveText(move.group, f"{move.sigmas:.1f}", f"{move.largest_px:.2f}", f"{move.camera_mm:.3f}")
+            for move in calibrated.lens_moves
+        ),
         pictures=pictures,
     )
 
@@ -389,4 +418,4 @@ def largest(values: FloatArray | None) -> float | None:
 
 
 def _count(n: int, what: str) -> str:
-    return f"{n:,} {what}" if n == 1 else f"{n:,} {what}s"
+    return f"{n:,} {what}{'' if n == 1 else 's'}"

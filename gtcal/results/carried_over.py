@@ -18,5 +18,6 @@ class CarriedOver:
     @property
     def statement(self) -> str:
         """In a line."""
-        kept = f"known from the earlier calibration ({self.days:.3g} days): {', '.join(self.kept) or 'nothing'}"
+        days = f"{self.days:.3g} day{'' if self.days == 1.0 else 's'}"
+        kept = f"known from the earlier calibration ({days} ago): {', '.join(self.kept) or 'nothing'}"
         return kept if self.alone else f"{kept}; without it, the recording determines no calibration"
