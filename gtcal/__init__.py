@@ -13,11 +13,16 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from gtcal.board import PRESETS as PRESETS
     from gtcal.board import board_from_manifest as board_from_manifest
+    from gtcal.differences.carried_over import EarlierCalibration as EarlierCalibration
+    from gtcal.differences.difference import Difference as Difference
+    from gtcal.differences.difference import DifferenceOptions as DifferenceOptions
+    from gtcal.differences.difference import difference as difference
     from gtcal.doctor.diagnose import diagnose as diagnose
     from gtcal.doctor.diagnosis_file import write_diagnosis as write_diagnosis
     from gtcal.doctor.findings import Diagnosis as Diagnosis
     from gtcal.doctor.findings import Finding as Finding
     from gtcal.errors import GtcalError as GtcalError
+    from gtcal.estimation.earlier import Growth as Growth
     from gtcal.estimation.observations import synchronise as synchronise
     from gtcal.estimation.options import CalibrationOptions as CalibrationOptions
     from gtcal.estimation.solver import calibrate_observations as calibrate_observations
@@ -41,6 +46,7 @@ if TYPE_CHECKING:
     from gtcal.verification.verification_file import write_verification as write_verification
     from gtcal.verification.workflow import verify as verify
     from gtcal.workflow import calibrate as calibrate
+    from gtcal.workflow import calibrate_jointly as calibrate_jointly
     from gtcal.workflow import detected as detected
 
 _HOMES = {
@@ -73,11 +79,22 @@ _HOMES = {
     "SelfCheck": "selfchecks.selfcheck",
     "selfcheck": "selfchecks.selfcheck",
     "write_selfcheck": "selfchecks.selfcheck_file",
+    "EarlierCalibration": "differences.carried_over",
+    "Difference": "differences.difference",
+    "DifferenceOptions": "differences.difference",
+    "difference": "differences.difference",
+    "Growth": "estimation.earlier",
     "calibrate": "workflow",
+    "calibrate_jointly": "workflow",
     "detected": "workflow",
 }
 
 __all__ = list(_HOMES)
+
+
+def __dir__() -> list[str]:
+    """What a tab key finds."""
+    return sorted({*globals(), *_HOMES})
 
 
 def __getattr__(name: str) -> Any:

@@ -4,6 +4,7 @@ three stages; and a guess at what is wrong where nothing fits."""
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from dataclasses import replace
 
 from gtcal.blas import on_one_blas_thread
@@ -15,6 +16,7 @@ from gtcal.doctor.hint import likely_mistake, looks_wrong
 from gtcal.effects.find import with_effects
 from gtcal.effects.segments import in_segments
 from gtcal.errors import GtcalError
+from gtcal.estimation.earlier import SAME_DAY
 from gtcal.estimation.intrinsics import calibrate_intrinsics
 from gtcal.estimation.observations import Observations, synchronise
 from gtcal.estimation.options import CalibrationOptions
@@ -44,7 +46,7 @@ def calibrate(
     if earlier is not None:
         recording = replace(recording, cameras=with_earlier_lenses(recording.cameras, earlier))
     as_stamped, reports = _with_intrinsics(synchronise(recording), options, progress)
-    inputs = (*recording.inputs, *((earlier.file,) if earlier is not None and earlier.file is not None else ()))
+    inputs = (*recording.inputs, *(earlier.inputs if earlier is not None else ()))
 
     def solve(views: Observations, chosen: CalibrationOptions) -> Calibration:
         return calibrate_observations(views, chosen, progress=progress, inputs=inputs, earlier=reports)
@@ -72,6 +74,33 @@ def calibrate(
             lambda views: solve(views, options),
         )
     return with_effects(calibration, observations, options) if options.effects else calibration
+
+
+def calibrate_jointly(
+    recordings: Sequence[Recording],
+    options: CalibrationOptions | None = None,
+    *,
+    earlier: EarlierCalibration | None = None,
+    progress: Progress = silent,
+) -> Calibration:
+    """Calibrate several recordings of one rig: all that does not move between them is shared, what moves is found anew
+    and named. The rig is that of the last; each recording goes on from what those before it say together, in order.
+
+    Raises GtcalError as ``calibrate``, and for options that calibrate stretches of a recording on their own."""
+    options = options or CalibrationOptions()
+    if len(recordings) > 1 and options.segments == "auto":
+        raise GtcalError("segments are of one recording: calibrate each by itself, or leave them out")
+    found: list[Calibration] = []
+    for done, recording in enumerate(recordings):
+        if found:
+            before = "the recording before it" if done == 1 else f"the {done} recordings before it"
+            earlier = EarlierCalibration(found[-1], SAME_DAY, source=before, inputs=found[-1].provenance.inputs)
+        found.append(calibrate(recording, options, earlier=earlier, progress=progress))
+    carried = [one.carried_over for one in found if one.carried_over is not None]
+    if len(found) < 2:
+        return found[-1]
+    moved = tuple(line for one in carried for line in one.moved)
+    return replace(found[-1], carried_over=replace(carried[-1], moved=moved))
 
 
 def _doctor(recording: Recording) -> str:

@@ -15,7 +15,15 @@ from factors_support import derivative_to
 
 from factors import JointPriorFactor
 from factors.rigid import inverse
-from gtcal import Calibration, CalibrationOptions, GtcalError, calibrate, read_calibration, write_calibration
+from gtcal import (
+    Calibration,
+    CalibrationOptions,
+    GtcalError,
+    calibrate,
+    calibrate_jointly,
+    read_calibration,
+    write_calibration,
+)
 from gtcal.differences.carried_over import EarlierCalibration
 from gtcal.estimation.earlier import SHAPE, Earlier, Growth, grown, intrinsics_of
 from gtcal.recordings.capture import Capture
@@ -167,9 +175,34 @@ def test_what_makes_no_sense_is_refused(first: Simulation, earlier: EarlierCalib
         EarlierCalibration(earlier.calibration, parts=("poses",))
 
 
+def test_recordings_of_one_rig_together_are_surer_than_each(first: Simulation) -> None:
+    takes = [take(first, number, 12) for number in (2, 3, 4)]
+    together = calibrate_jointly([one.recording for one in takes], OPTIONS)
+    alone = [calibrate(one.recording, OPTIONS) for one in takes]
+    mm, nees = errors(together, takes[-1])
+    assert mm < 0.8 * np.mean([errors(one, simulation)[0] for one, simulation in zip(alone, takes, strict=True)])
+    assert nees < 2.0
+    name = "front_left"
+    sigma, of_each = (one.cameras[name].camera_T_ref.position_of_a_in_b_sigma_mm.max() for one in (together, alone[0]))
+    assert sigma < 0.8 * of_each
+    assert together.carried_over.source == "the 2 recordings before it"
+    assert together.carried_over.moved == ()
+    assert len(together.provenance.inputs) == sum(len(one.recording.inputs) for one in takes)
+
+
+def test_what_moves_between_recordings_is_named_and_not_shared(first: Simulation) -> None:
+    takes = [take(first, 2, 30), take(first, 3, 30, BUMP)]
+    together = calibrate_jointly([one.recording for one in takes], OPTIONS)
+    assert any(line.startswith("side_left: moved by") for line in together.carried_over.moved)
+    assert errors(together, takes[-1])[1] < 2.0
+    with pytest.raises(GtcalError, match="segments are of one recording"):
+        calibrate_jointly([one.recording for one in takes], CalibrationOptions(segments="auto"))
+
+
 def test_the_command_goes_on_from_a_file(first: Simulation, earlier: EarlierCalibration, tmp_path: Path) -> None:
     write_calibration(tmp_path / "first.json", earlier.calibration)
     write_simulation(take(first, 2, 20, BUMP), tmp_path / "r", images=False)
+    write_simulation(take(first, 3, 20, BUMP), tmp_path / "r2", images=False)
     ran = run(
         "calibrate", tmp_path / "r", "-o", tmp_path / "c.json", "--from", tmp_path / "first.json", "--from-days", 3,
         "--from-parts", "lenses", "rig",
@@ -180,6 +213,9 @@ def test_the_command_goes_on_from_a_file(first: Simulation, earlier: EarlierCali
     found = read_calibration(tmp_path / "c.json")
     assert "board" not in found.carried_over.kept
     assert found.carried_over.days == 3.0
+    ran = run("calibrate", tmp_path / "r", tmp_path / "r2", "-o", tmp_path / "both.json", "--no-effects")
+    assert (ran.code, ran.err) == (0, "")
+    assert "known from the recording before it: board, front_left" in ran.out
     assert any(entry.path.name == "first.json" for entry in found.provenance.inputs)
     document = json.loads((tmp_path / "c.json").read_text())
     assert document["provenance"]["options"]["priors"]["earlier"] == list(found.carried_over.kept)

@@ -32,7 +32,7 @@ KernelName = Literal[
 
 
 def calibrate(
-    recording: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="RECORDING")],
+    recordings: Annotated[tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="RECORDING [RECORDING ...]")],
     *,
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("calibration.json"),
     report: Path | None = None,
@@ -80,7 +80,9 @@ def calibrate(
     image, near and far. Judge by the RMSE (a good lens model and mocap give 0.1 to 0.5 px) and by 'left out'.
 
     Args:
-        recording: Folder with the manifest (recording.yaml or recording.json), or the manifest itself.
+        recordings: Folder with the manifest (recording.yaml or recording.json), or the manifest itself. Of several, in
+            the order in which they were taken, all that does not move between them is shared, and what moves is named;
+            the result is the rig as it is in the last.
         output: File to write.
         report: HTML file to write with figures of the result (as 'gtcal report' does).
         intrinsics: 'auto': solved for jointly with the extrinsics, near the manifest's values, by their sigmas (stated
@@ -146,13 +148,14 @@ def calibrate(
     """
     from gtcal.cli.progress import shown_progress
     from gtcal.cli.tables import print_calibration
+    from gtcal.errors import GtcalError
     from gtcal.estimation.options import CalibrationOptions
     from gtcal.estimation.priors import Priors
     from gtcal.estimation.priors_file import read_priors
     from gtcal.files import check_outputs
     from gtcal.recordings.recording import load_recording
     from gtcal.results.calibration_file import write_calibration
-    from gtcal.workflow import calibrate as run
+    from gtcal.workflow import calibrate_jointly
 
     options = CalibrationOptions(
         intrinsics=intrinsics_mode(intrinsics, calibrate=calibrate_intrinsics, refine=refine_intrinsics),
@@ -179,16 +182,19 @@ def calibrate(
         seed=seed,
         allow_degenerate=allow_degenerate,
     )
-    loaded = load_recording(recording)
+    if not recordings:
+        raise GtcalError("no recording was given: 'gtcal calibrate FOLDER'")
+    loaded = [load_recording(recording) for recording in recordings]
     earlier = None if from_ is None else _earlier(from_, from_parts, from_days, from_growth)
-    check_outputs((output, report), (*loaded.files, *(path for path in (priors, from_) if path is not None)))
+    read = [file for one in loaded for file in one.files] + [path for path in (priors, from_) if path is not None]
+    check_outputs((output, report), read)
     with shown_progress(quiet) as progress:
-        calibration = run(loaded, options, earlier=earlier, progress=progress)
+        calibration = calibrate_jointly(loaded, options, earlier=earlier, progress=progress)
         if report is not None:
-            _write_report(report, calibration, loaded, progress)
+            _write_report(report, calibration, loaded[-1], progress)
     write_calibration(output, calibration)
     if not quiet:
-        print_calibration(calibration, notes=loaded.notes, verbose=verbose)
+        print_calibration(calibration, notes=[note for one in loaded for note in one.notes], verbose=verbose)
         print(f"written: {output}" + (f", {report}" if report is not None else ""))
 
 
@@ -207,7 +213,7 @@ def _earlier(
         since = datetime.datetime.now(datetime.UTC) - datetime.datetime.fromisoformat(found.provenance.created_utc)
         days = max(since.total_seconds() / 86400.0, 0.0)
     mm, deg, lens = growth
-    return EarlierCalibration(found, Growth(mm, deg, lens, days), parts, fingerprint(path))
+    return EarlierCalibration(found, Growth(mm, deg, lens, days), parts, inputs=(fingerprint(path),))
 
 
 def intrinsics_mode(stated: IntrinsicsMode, *, calibrate: bool, refine: bool) -> IntrinsicsMode:

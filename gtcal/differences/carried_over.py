@@ -30,20 +30,28 @@ PARTS: tuple[Part, ...] = get_args(Part)
 
 @dataclass(frozen=True)
 class EarlierCalibration:
-    """A calibration to go on from. growth: by how much less is known by now. parts: which of it to take. file: that it
-    was read from.
+    """A calibration to go on from. growth: by how much less is known by now. parts: which of it to take. source: what
+    it is, in words. inputs: the files that it rests on.
 
     Raises GtcalError for a part that is none."""
 
     calibration: Calibration
     growth: Growth = field(default_factory=Growth)
     parts: tuple[Part, ...] = PARTS
-    file: InputFile | None = None
+    source: str = ""
+    inputs: tuple[InputFile, ...] = ()
 
     def __post_init__(self) -> None:
         for part in self.parts:
             if part not in PARTS:
                 raise GtcalError(f"parts: {part!r} is none of {', '.join(PARTS)}")
+
+    @property
+    def in_words(self) -> str:
+        if self.source:
+            return self.source
+        days = self.growth.days
+        return f"the earlier calibration ({days:.3g} day{'' if days == 1.0 else 's'} ago)"
 
 
 def with_earlier_lenses(cameras: dict[str, Camera], earlier: EarlierCalibration) -> dict[str, Camera]:
@@ -83,7 +91,7 @@ def known_from(
         changes = [change for change in found.changes if _is_of(change.what, earlier, observations)]
         moved = replace(found, changes=tuple(changes)).moved_statements
     with_priors = replace(options, priors=replace(options.priors, earlier=known))
-    taken = CarriedOver(earlier.growth.days, known.kept, moved, alone is not None)
+    taken = CarriedOver(earlier.in_words, earlier.growth.days, known.kept, moved, alone is not None)
     return _with_known_lenses(observations, known), with_priors, taken
 
 

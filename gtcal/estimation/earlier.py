@@ -57,6 +57,10 @@ class Growth:
         return np.diag(np.square(sigmas)) * self.root_of_days**2
 
 
+SAME_DAY = Growth(mm=0.0, deg=0.0, lens=0.0, days=0.0)
+"""Of recordings that were taken one after the other."""
+
+
 @dataclass(frozen=True)
 class Earlier:
     """What is known of some unknowns together.

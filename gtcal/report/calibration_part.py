@@ -274,6 +274,7 @@ def _tiles(calibration: Calibration) -> tuple[Tile, ...]:
     n_views = sum(camera.residuals.n_views for camera in cameras.values())
     n_corners = sum(camera.residuals.n_corners for camera in cameras.values())
     left_out = sum(entry.n_views for entry in calibration.dropped)
+    share_out = left_out / max(n_views + left_out, 1)
     return (
         Tile(
             "Fit",
@@ -286,7 +287,7 @@ def _tiles(calibration: Calibration) -> tuple[Tile, ...]:
             "Data",
             f"{n_views:,}",
             "view" if n_views == 1 else "views",
-            f"with {n_corners:,} corners; {_count(left_out, 'view')} left out ({left_out / max(n_views + left_out, 1):.1%})",
+            f"with {n_corners:,} corners; {_count(left_out, 'view')} left out ({share_out:.1%})",
         ),
     )
 

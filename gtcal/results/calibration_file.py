@@ -152,7 +152,7 @@ def _carried_over(block: dict[str, Any] | None) -> CarriedOver | None:
     if block is None:
         return None
     kept, moved = tuple(map(str, block["kept"])), tuple(map(str, block["moved"]))
-    return CarriedOver(float(block["days"]), kept, moved, bool(block["alone"]))
+    return CarriedOver(str(block["source"]), float(block["days"]), kept, moved, bool(block["alone"]))
 
 
 def _covariance_document(joint: JointCovariance) -> dict[str, Any]:

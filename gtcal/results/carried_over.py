@@ -7,9 +7,11 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class CarriedOver:
-    """days: between them. kept: what is known from the earlier one, in words; moved: a sentence on each thing that is
-    not as it was, and was found anew. alone: whether the recording determines a calibration without it."""
+    """source: what it was taken from, in words. days: between them. kept: what is known from the earlier one, in words;
+    moved: a sentence on each thing that is not as it was, and was found anew. alone: whether the recording determines a
+    calibration without it."""
 
+    source: str
     days: float
     kept: tuple[str, ...]
     moved: tuple[str, ...]
@@ -18,6 +20,5 @@ class CarriedOver:
     @property
     def statement(self) -> str:
         """In a line."""
-        days = f"{self.days:.3g} day{'' if self.days == 1.0 else 's'}"
-        kept = f"known from the earlier calibration ({days} ago): {', '.join(self.kept) or 'nothing'}"
+        kept = f"known from {self.source}: {', '.join(self.kept) or 'nothing'}"
         return kept if self.alone else f"{kept}; without it, the recording determines no calibration"
