@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from rich import box
 from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
 from factors.rigid import inverse
 from gtcal.camera import FloatArray
+from gtcal.cli.folded_table import FoldedTable
 from gtcal.cli.terminal import Terminal
 from gtcal.recordings.recording import Recording
 from gtcal.results.board_shape import BoardShape
@@ -145,15 +145,7 @@ def effect_table(findings: Sequence[EffectFinding]) -> Table:
 
 def new_table(title: str, *, caption: str | None = None) -> Table:
     """An empty table in the house's style; its first column is for the rows' names."""
-    table = Table(
-        box=box.SIMPLE_HEAD,
-        collapse_padding=True,
-        title=title,
-        title_justify="left",
-        caption=caption,
-        caption_justify="left",
-        title_style="bold",
-    )
+    table = FoldedTable(title, caption=caption)
     table.add_column("", no_wrap=True)
     return table
 

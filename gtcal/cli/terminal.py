@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable
 from typing import Any
 
@@ -11,12 +12,17 @@ from rich.text import Text
 
 from gtcal.plain import printable
 
+_OF_A_PIPE = 2000
+
 
 class Terminal(Console):
-    """Takes nothing in a text for markup, an emoji's name or a command to the terminal."""
+    """Takes nothing in a text for markup, an emoji's name or a command to the terminal. Into a pipe or a file, no line
+    is broken."""
 
     def __init__(self, **options: Any) -> None:
         super().__init__(**{"markup": False, "emoji": False, **options})
+        if not self.is_terminal and "COLUMNS" not in os.environ:
+            self.width = _OF_A_PIPE
 
     def render_str(self, text: str, **options: Any) -> Text:
         return super().render_str(printable(text), **options)

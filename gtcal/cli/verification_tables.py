@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from rich import box
 from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
+from gtcal.cli.folded_table import FoldedTable
 from gtcal.cli.terminal import Terminal
 from gtcal.verification.drift import Drift
 from gtcal.verification.verification import CameraVerification, Verdict, Verification
@@ -38,12 +38,10 @@ def print_verification(verification: Verification, *, notes: Sequence[str] = (),
 
 def _table(verification: Verification) -> Table:
     options = verification.options
-    table = Table(
-        box=box.SIMPLE_HEAD,
+    table = FoldedTable(
         padding=(0, 1, 0, 0),
         caption=f"bounds of the RMSE at {100 * options.confidence:g} % each; n sightings in so much of the image. "
         f"Tolerances: {options.max_rmse_px:g} px, {options.max_rmse_mm:g} mm RMSE",
-        caption_justify="left",
     )
     table.add_column("camera", no_wrap=True)
     table.add_column("verdict", no_wrap=True)
@@ -146,10 +144,8 @@ def print_drift(found: Drift) -> None:
 
 
 def _drift_table(found: Drift) -> Table:
-    table = Table(
-        box=box.SIMPLE_HEAD,
+    table = FoldedTable(
         caption=f"RMSE in px; tolerances {found.options.max_rmse_px:g} px, {found.options.max_rmse_mm:g} mm",
-        caption_justify="left",
     )
     table.add_column("recording")
     table.add_column("verdict", no_wrap=True)

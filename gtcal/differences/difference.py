@@ -42,6 +42,8 @@ AT_MOST_SIGMAS = 2.0
 
 ALL, TO_EACH_OTHER = "all cameras together", "cameras to each other"
 
+_MANIFESTS = (".yaml", ".yml", ".json")
+
 _ROUNDS, _NO_STEP = 10, 1e-12
 
 
@@ -237,11 +239,16 @@ def _notes(a: Calibration, b: Calibration) -> tuple[str, ...]:
     for name, camera in a.cameras.items():
         if name in b.cameras and camera.camera.model != b.cameras[name].camera.model:
             notes.append(f"intrinsics of {name}: of different models, compared by their pixels alone")
-    if {file.sha256 for file in a.provenance.inputs} & {file.sha256 for file in b.provenance.inputs}:
+    if _measured(a) & _measured(b):
         notes.append(
             "both rest on some of the same files: errors that they share cancel, so the difference shows too little"
         )
     return tuple(notes)
+
+
+def _measured(calibration: Calibration) -> set[str]:
+    """Hashes of the files that hold what was measured; a manifest may well be the same."""
+    return {entry.sha256 for entry in calibration.provenance.inputs if entry.path.suffix not in _MANIFESTS}
 
 
 @dataclass(frozen=True)
