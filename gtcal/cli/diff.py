@@ -100,8 +100,15 @@ def _table(found: Difference) -> Table:
         table.add_column(heading, justify="right")
     table.add_column("")
     for change in found.changes:
-        table.add_row(change.what, *_cells(change), f"{change.probability:.2g}", change.verdict(found.options))
+        table.add_row(change.what, *_cells(change), _chance(change.probability), change.verdict(found.options))
     return table
+
+
+def _chance(probability: float) -> str:
+    return f"{probability:.2g}" if probability >= _NO_CHANCE else f"< {_NO_CHANCE:g}"
+
+
+_NO_CHANCE = 1e-6
 
 
 def _cells(change: Change) -> list[str]:

@@ -166,8 +166,11 @@ class Difference:
 
     @property
     def moved_statements(self) -> tuple[str, ...]:
-        """What moved, in a sentence each."""
-        return tuple(_sentence(change, self.options) for change in self.changes if change.moved)
+        """What moved, in a sentence each; the cameras to each other only where no single one of them surely did."""
+        moved = [change for change in self.changes if change.moved]
+        if any(change.what in {seen.camera for seen in self.pixels} for change in moved):
+            moved = [change for change in moved if change.what != TO_EACH_OTHER]
+        return tuple(_sentence(change, self.options) for change in moved)
 
     @property
     def statements(self) -> tuple[str, ...]:

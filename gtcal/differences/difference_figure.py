@@ -41,7 +41,7 @@ def _row(part: SubFigure, change: PixelChange, camera: Camera, distance_m: float
     moved = image_axes(left, camera)
     _map(left, moved, change, change.length_px, highest, "moved, px")
     _arrows(moved, change)
-    _map(right, image_axes(right, camera), change, change.expected_px, highest, "expected by both covariances, px RMS")
+    _map(right, image_axes(right, camera), change, change.expected_px, highest, "expected by both covariances, px")
 
 
 def _map(part: SubFigure, axes: Axes, change: PixelChange, values: FloatArray, highest: float, label: str) -> None:
