@@ -321,6 +321,22 @@ def clean_fields(fault: Fault, folder: Path) -> dict[str, object] | None:
     return fields_of(written(recorded(fault.kind), folder / "clean")) if fault.change is same else None
 
 
+@pytest.mark.parametrize(
+    ("kind", "said", "was", "body"),
+    [
+        (FIXED, Capture.STANDING_BOARD, "board_body", "platform"),
+        (STANDING, Capture.FIXED_CAMERAS, "platform", "board_body"),
+    ],
+)
+def test_another_capture_is_as_likely_as_inverse_poses(kind: str, said: Capture, was: str, body: str) -> None:
+    recording = recorded(kind)
+    bodies = {was: None, body: replace(getattr(recording, was), body=body)}
+    found = diagnose_recording(replace(recording, capture=said, **bodies))
+    (finding,) = found.findings
+    assert finding.fault == "inverse poses"
+    assert finding.alternatives == (f"write capture: {recording.capture.value}, and {was} in place of {body}",)
+
+
 @pytest.mark.parametrize("kind", SMALL)
 @pytest.mark.parametrize("seed", [0, 1])
 def test_a_clean_recording_is_healthy(kind: str, seed: int, tmp_path: Path) -> None:

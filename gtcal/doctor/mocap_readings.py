@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from factors.rigid import inverse
 from gtcal.camera import FloatArray
-from gtcal.recordings.capture import RefMotion
+from gtcal.recordings.capture import Capture, RefMotion
 from gtcal.recordings.trajectory import Trajectory, poses_from_quaternions, quaternions_from_poses
 
 _STILL_M, _STILL_RAD, _NEARLY_ALL = 0.02, np.deg2rad(2.0), 0.95
@@ -164,6 +164,33 @@ def mocap_readings(motion: RefMotion) -> Iterator[MocapReading]:
                 yield _reading(suspicion, bodies)
     if len(names) == 2 and not swap_first:
         yield swap
+    if motion.capture in _OF_ONE_BODY:
+        yield _other_capture(motion.capture)
+
+
+_OF_ONE_BODY = {
+    Capture.STANDING_BOARD: (Capture.FIXED_CAMERAS, "platform", "board_body", "the cameras stood and the board moved"),
+    Capture.FIXED_CAMERAS: (Capture.STANDING_BOARD, "board_body", "platform", "the board stood and the cameras moved"),
+}
+"""By what was said: what else the one trajectory can be of, whose it is then called, and what happened."""
+
+
+def _other_capture(said: Capture) -> MocapReading:
+    other, name, new_name, happened = _OF_ONE_BODY[said]
+
+    def reread(motion: RefMotion) -> RefMotion:
+        moved = replace(motion.trajectories[name], body=new_name)
+        bodies = {new_name: moved}
+        return replace(motion, capture=other, platform=bodies.get("platform"), board_body=bodies.get("board_body"))
+
+    return MocapReading(
+        "wrong capture",
+        f"{happened}: the trajectory of {name} is that of the {'board' if new_name == 'board_body' else 'cameras'}",
+        (name,),
+        (),
+        (f"write capture: {other.value}, and {new_name} in place of {name}",),
+        reread,
+    )
 
 
 def stands_still(trajectory: Trajectory) -> bool:
