@@ -18,6 +18,9 @@ def info(
     *,
     figure: Path | None = None,
     detect: bool = False,
+    live: bool = False,
+    enough_mm: float = 0.2,
+    enough_deg: float = 0.02,
     quiet: Annotated[bool, tyro.conf.arg(aliases=["-q"])] = False,
 ) -> None:
     """Show what is in a recording, a mocap export, a calibration.json or a verification.json, at a glance.
@@ -32,6 +35,11 @@ def info(
         figure: Picture to write, .png or .svg. Of a recording: when cameras and mocap recorded, where the images had
             corners, how the bodies moved. Of a calibration: where the cameras are. Of a verification: the heat maps.
         detect: Look for the board in images where that was not done yet, as 'gtcal detect' does, and keep the corners.
+        live: Watch a recording that is being made: after each change of its files say how sure each camera is by now,
+            what is still weak and where to hold the board, until Ctrl-C ends it. Of images one each half second is
+            looked at.
+        enough_mm: With --live, the 1-sigma of a camera's place that is enough.
+        enough_deg: With --live, that of its attitude.
         quiet: Print nothing.
     """
     from gtcal.cli.progress import shown_progress
@@ -39,6 +47,9 @@ def info(
     from gtcal.overview.kind import Kind, kind_of
     from gtcal.readers import detect_mocap_format
 
+    if live:
+        _live(path, enough_mm, enough_deg)
+        return
     check_outputs([figure], [path])
     if detect_mocap_format(path) is not None:
         _mocap_file(path, figure, quiet)
@@ -54,6 +65,23 @@ def info(
         _recording(recording, figure, quiet)
     if figure is not None and not quiet:
         print(f"written: {figure}")
+
+
+def _live(path: Path, enough_mm: float, enough_deg: float) -> None:
+    from rich.live import Live
+
+    from gtcal.cli.info_tables import look_shown
+    from gtcal.cli.terminal import Terminal
+    from gtcal.overview.live import Enough, watch
+
+    console, enough = Terminal(), Enough(enough_mm, enough_deg)
+    if not console.is_terminal:
+        for look in watch(path, enough):
+            console.print(look_shown(look))
+            console.file.flush()
+    with Live(console=console, auto_refresh=False) as shown:
+        for look in watch(path, enough):
+            shown.update(look_shown(look), refresh=True)
 
 
 def _mocap_file(path: Path, figure: Path | None, quiet: bool) -> None:

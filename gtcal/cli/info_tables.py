@@ -9,6 +9,7 @@ from rich.text import Text
 
 from gtcal.cli.tables import new_table
 from gtcal.cli.terminal import Terminal
+from gtcal.overview.live import Look
 from gtcal.overview.summary import BodySummary, CameraSummary, RecordingSummary, Times
 from gtcal.readers import MocapSummary
 from gtcal.results.calibration import Provenance
@@ -136,3 +137,18 @@ def _bodies_of_file(summary: MocapSummary) -> Table:
         rotation = "of its markers" if body.from_markers else body.rotation or "to be stated"
         table.add_row(body.name, str(body.n_seen), str(body.n_gaps), longest, rotation, ", ".join(body.markers) or "-")
     return table
+
+
+def look_shown(look: Look) -> RenderableType:
+    """A recording that is being made: a row per camera, and what to do next."""
+    table = new_table(f"so far; looked at in {look.seconds:.2f} s")
+    for heading in ("views", "1-sigma, mm", "deg"):
+        table.add_column(heading, justify="right")
+    for name, n_views in look.n_views.items():
+        known = name in look.sigma_mm
+        sigmas = (f"{look.sigma_mm[name]:.3f}", f"{look.sigma_deg[name]:.4f}") if known else ("-", "-")
+        table.add_row(name, str(n_views), *sigmas)
+    asked = f"asked for: {look.enough.mm:g} mm, {look.enough.deg:g} deg"
+    style = "green" if look.is_enough else "yellow"
+    advice = (Text(f"- {line}", style=style) for line in look.advice)
+    return Group(*([table] if look.n_views else []), Text(asked), *advice)
