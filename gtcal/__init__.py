@@ -25,6 +25,8 @@ if TYPE_CHECKING:
     from gtcal.estimation.earlier import Growth as Growth
     from gtcal.estimation.observations import synchronise as synchronise
     from gtcal.estimation.options import CalibrationOptions as CalibrationOptions
+    from gtcal.estimation.pose_level import PoseLevel as PoseLevel
+    from gtcal.estimation.pose_level import calibrate_poses as calibrate_poses
     from gtcal.estimation.solver import calibrate_observations as calibrate_observations
     from gtcal.recordings.recording import Recording as Recording
     from gtcal.recordings.recording import load_recording as load_recording
@@ -84,6 +86,8 @@ _HOMES = {
     "DifferenceOptions": "differences.difference",
     "difference": "differences.difference",
     "Growth": "estimation.earlier",
+    "PoseLevel": "estimation.pose_level",
+    "calibrate_poses": "estimation.pose_level",
     "calibrate": "workflow",
     "calibrate_jointly": "workflow",
     "detected": "workflow",

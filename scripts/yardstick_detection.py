@@ -1,11 +1,11 @@
 """The detector against others that pip installs, on images whose corners are known.
 
-Renders a grid of AprilTags (36h11) at 1080p through a pinhole lens with some distortion, and through a fisheye, from random
-sides and distances, by three kinds of images: sharp, blurred and dim. Each detector sees the same images. Recall: share
-of the visible corners that it gives to within 3 px, of tags whose modules are 2 px wide or more. Error: of those, the
-mean length of what is left when the detector's own mean shift, a matter of where a pixel's middle is said to be, is
-taken out (locus-tag's 'debiased mean', 0.062 px at 1080p by its README on Blender images of its own); 95 %: of the
-same. ms: of one image, on one thread where the detector has a choice.
+Renders a grid of AprilTags (36h11) at 1080p through a pinhole lens with some distortion, and through a fisheye, from
+random sides and distances, by three kinds of images: sharp, blurred and dim. Each detector sees the same images.
+Recall: share of the visible corners that it gives to within 3 px, of tags whose modules are 2 px wide or more. Error:
+of those, the mean length of what is left when the detector's own mean shift, a matter of where a pixel's middle is said
+to be, is taken out (locus-tag's 'debiased mean', 0.062 px at 1080p by its README on Blender images of its own); 95 %:
+of the same. ms: of one image, on one thread where the detector has a choice.
 
 OpenCV is always there; the others are looked for, and left out with a line where they are not installed:
 

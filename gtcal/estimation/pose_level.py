@@ -1,0 +1,273 @@
+"""Hand-eye calibration from poses alone: where there are no corners, only what a detector or a tracker made of them.
+
+Each view has the mocap's (or an arm's) ref_T_body and a measured camera_T_board, which the chain Y_c * ref_T_body * X
+should be. What it is off by, a rotation about the board's axes and a shift along the camera's, is Gaussian with one
+covariance for all views, of heavier tails where the views want them (a Student t), found with the estimate itself by
+expectation and maximisation (Lange, Little and Taylor 1989). Where the board's poses drift, as those of a visual
+odometry, it is the steps from view to view that are measured, and Y_c alone is found from these; which of the two it is
+is chosen by the smaller noise.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import gtsam
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from factors.marginal import MarginalFactor
+from factors.moments import chain
+from factors.rigid import inverse
+from gtcal.camera import FloatArray
+from gtcal.errors import GtcalError
+from gtcal.estimation.alignment_descent import converged_sweep
+from gtcal.estimation.consensus import ViewPoses, consensus
+from gtcal.estimation.graph import BODY_T_BOARD, camera_T_ref_key, minimise
+from gtcal.estimation.linear import scaled_inverse
+from gtcal.estimation.procrustes import alignment_sums
+
+FEWEST_VIEWS = 3
+
+_TAILS = (2.0, 4.0, 10.0, np.inf)
+"""Degrees of freedom of the Student t that are tried; infinite is Gaussian."""
+
+_ROUNDS, _SETTLED = 30, 1e-4
+_SHRUNK_BY = 6.0
+"""The covariance of the views is drawn to one that is alike in all directions as if by so many views more."""
+
+_LEAST_RAD, _LEAST_M = 1e-7, 1e-7
+_LEVER_M = 0.2
+"""How far from its origin the board's points are taken to be where poses are aligned in 3-D, to start with."""
+
+
+@dataclass(frozen=True)
+class PoseNoise:
+    """covariance: (6, 6) of a view's rotation, about the board's axes, and shift, along the camera's (rad, m). tail:
+    the degrees of freedom of its Student t. drifts: whether it is of steps from view to view."""
+
+    covariance: FloatArray
+    tail: float
+    drifts: bool
+
+    @property
+    def log_determinant(self) -> float:
+        return float(np.linalg.slogdet(self.covariance)[1])
+
+
+@dataclass(frozen=True)
+class PoseLevel:
+    """camera_T_ref, body_T_board: (4, 4). covariance: (12, 12) of both, in that order, in their right tangents.
+    weights: (V,) of the views, about 1, and near 0 for those that are gross."""
+
+    camera_T_ref: FloatArray
+    body_T_board: FloatArray
+    covariance: FloatArray
+    noise: PoseNoise
+    weights: FloatArray
+
+
+def calibrate_poses(
+    ref_T_body: FloatArray, camera_T_board: FloatArray, rng: np.random.Generator | None = None
+) -> PoseLevel:
+    """One camera's extrinsic and the board's place from V >= 3 pairs of poses, (V, 4, 4) each, in order of time.
+
+    Raises GtcalError for fewer pairs, or where they leave a direction open."""
+    if len(ref_T_body) < FEWEST_VIEWS or ref_T_body.shape != camera_T_board.shape:
+        raise GtcalError(f"{len(ref_T_body)} and {len(camera_T_board)} poses: 3 or more of each are needed, in pairs")
+    start = _start(ref_T_body, camera_T_board, rng or np.random.default_rng(0))
+    still = _Absolute(ref_T_body, camera_T_board)
+    try:
+        found = _settled(still, start)
+        if len(ref_T_body) > 2 * FEWEST_VIEWS:
+            steps = _settled(_Steps(ref_T_body, camera_T_board), (found.camera_T_ref, found.body_T_board))
+            if steps.noise.log_determinant < found.noise.log_determinant:
+                return _with_board(steps, still)
+    except np.linalg.LinAlgError:
+        raise GtcalError("the poses leave a direction open: turn about two axes or more") from None
+    return found
+
+
+def _start(
+    ref_T_body: FloatArray, camera_T_board: FloatArray, rng: np.random.Generator
+) -> tuple[FloatArray, FloatArray]:
+    """The better, by the median view, of the alignment of all views and of a consensus of some."""
+    moments = np.tile(np.diag([_LEVER_M**2] * 3 + [1.0]), (len(ref_T_body), 1, 1))
+    views = ViewPoses(ref_T_body, camera_T_board, moments)
+    swept = converged_sweep([alignment_sums(ref_T_body, camera_T_board, moments)], rng)
+    starts = [(swept.camera_T_ref[0], swept.body_T_board)]
+    agreed = consensus({"": views}, rng)
+    starts += [(agreed[0][""], agreed[1])] if agreed is not None else []
+    return min(starts, key=lambda start: float(np.median(views.rms_m(start[0][None], start[1][None]))))
+
+
+@dataclass(frozen=True)
+class _Absolute:
+    """The chain against each measured pose."""
+
+    ref_T_body: FloatArray
+    camera_T_board: FloatArray
+    drifts: bool = False
+    keys: tuple[int, ...] = (camera_T_ref_key(0), BODY_T_BOARD)
+
+    def residuals(self, camera_T_ref: FloatArray, body_T_board: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """(V, 6), and its derivatives (V, 6, 12) by xi in Y_c * Exp(xi) and X * Exp(xi)."""
+        placed = self.ref_T_body @ body_T_board
+        expected = camera_T_ref @ placed
+        turned = Rotation.from_matrix(np.swapaxes(self.camera_T_board[:, :3, :3], 1, 2) @ expected[:, :3, :3])
+        phi = turned.as_rotvec()
+        J = np.zeros((len(phi), 6, 12))
+        into = _inverse_right_jacobians(phi)
+        R_Y = camera_T_ref[:3, :3]
+        J[:, :3, :3], J[:, :3, 6:9] = into @ np.swapaxes(placed[:, :3, :3], 1, 2), into
+        J[:, 3:, :3], J[:, 3:, 3:6] = -R_Y @ _skew(placed[:, :3, 3]), R_Y
+        J[:, 3:, 9:] = expected[:, :3, :3]
+        return np.hstack([phi, expected[:, :3, 3] - self.camera_T_board[:, :3, 3]]), J
+
+
+@dataclass(frozen=True)
+class _Steps:
+    """The camera's steps from view to view, by the chain Y_c * A_i * A_(i+1)^-1 * Y_c^-1, against the measured ones."""
+
+    ref_T_body: FloatArray
+    camera_T_board: FloatArray
+    drifts: bool = True
+    keys: tuple[int, ...] = (camera_T_ref_key(0),)
+
+    def residuals(self, camera_T_ref: FloatArray, body_T_board: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """(V - 1, 6), and its derivatives (V - 1, 6, 12); those by X are zero."""
+        steps = self.ref_T_body[:-1] @ inverse(self.ref_T_body[1:])
+        measured = self.camera_T_board[:-1] @ inverse(self.camera_T_board[1:])
+        expected = camera_T_ref @ steps @ inverse(camera_T_ref)
+        phi = Rotation.from_matrix(np.swapaxes(measured[:, :3, :3], 1, 2) @ expected[:, :3, :3]).as_rotvec()
+        into, R_Y, R_step = _inverse_right_jacobians(phi), camera_T_ref[:3, :3], steps[:, :3, :3]
+        J = np.zeros((len(phi), 6, 12))
+        # Y Exp(xi) S Exp(-xi) Y^-1: its rotation turns, in its own frame, by R_Y (R_S^T - I) w
+        J[:, :3, :3] = into @ R_Y @ (np.swapaxes(R_step, 1, 2) - np.eye(3))
+        at = -np.asarray(R_Y.T @ camera_T_ref[:3, 3])  # Y's camera in ref: what Y^-1 takes zero to
+        moved = R_step @ at + steps[:, :3, 3]
+        J[:, 3:, :3] = R_Y @ (R_step @ _skew(at[None])[0] - _skew(moved))
+        J[:, 3:, 3:6] = R_Y @ (np.eye(3) - R_step)
+        return np.hstack([phi, expected[:, :3, 3] - measured[:, :3, 3]]), J
+
+
+_Model = _Absolute | _Steps
+
+
+def _settled(model: _Model, start: tuple[FloatArray, FloatArray]) -> PoseLevel:
+    """By the tail that explains the views best."""
+    found = [_with_tail(model, start, tail) for tail in _TAILS]
+    return min(found, key=lambda one: one[0])[1]
+
+
+def _with_tail(model: _Model, start: tuple[FloatArray, FloatArray], tail: float) -> tuple[float, PoseLevel]:
+    """Estimate and noise in turns, until both stay; minus the logarithm of their likelihood, too."""
+    (Y, X), r = start, model.residuals(*start)[0]
+    covariance = _robust_covariance(r)
+    for _ in range(_ROUNDS):
+        weights = _weights(r, covariance, tail)
+        Y, X = _minimised(model, (Y, X), covariance, weights)
+        r, J = model.residuals(Y, X)
+        before = covariance
+        covariance = _shrunk((r.T * weights) @ r / max(len(r) - len(model.keys), 1), len(r))
+        if np.abs(np.diag(covariance) / np.diag(before) - 1.0).max() < _SETTLED:
+            break
+    weights = _weights(r, covariance, tail)
+    J = J[:, :, : 6 * len(model.keys)]
+    information = np.einsum("via,ij,vjb->ab", J * weights[:, None, None], np.linalg.inv(covariance), J)
+    level = PoseLevel(Y, X, scaled_inverse(information), PoseNoise(covariance, tail, model.drifts), weights)
+    return _minus_log_likelihood(r, covariance, tail), level
+
+
+def _minimised(
+    model: _Model, at: tuple[FloatArray, FloatArray], covariance: FloatArray, weights: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    whiten = np.linalg.inv(np.linalg.cholesky(covariance))
+    root, size = np.sqrt(weights)[:, None], 6 * len(model.keys)
+
+    def moments(values: gtsam.Values) -> FloatArray:
+        Y = values.atPose3(model.keys[0]).matrix()
+        X = values.atPose3(model.keys[1]).matrix() if len(model.keys) > 1 else at[1]
+        r, J = model.residuals(Y, X)
+        columns = np.concatenate([J[:, :, :size], r[:, :, None]], axis=2)
+        white = (root[:, :, None] * (whiten @ columns)).reshape(-1, size + 1)
+        return np.asarray(white.T @ white)
+
+    graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+    graph.add(MarginalFactor(model.keys, [6] * len(model.keys), moments))
+    for key, pose in zip(model.keys, at, strict=False):
+        values.insert(key, gtsam.Pose3(pose))
+    found = minimise(graph, values, eps=1e-9, max_iterations=30).values
+    return found.atPose3(model.keys[0]).matrix(), (
+        found.atPose3(model.keys[1]).matrix() if len(model.keys) > 1 else at[1]
+    )
+
+
+def _with_board(steps: PoseLevel, still: _Absolute) -> PoseLevel:
+    """X where all views, drifted as they are, want it by their median; as unsure as they scatter."""
+    wanted = inverse(chain(steps.camera_T_ref, still.ref_T_body, np.eye(4))) @ still.camera_T_board
+    X = np.eye(4)
+    X[:3, :3] = Rotation.from_matrix(wanted[:, :3, :3]).mean().as_matrix()
+    X[:3, 3] = np.median(wanted[:, :3, 3], axis=0)
+    turned = Rotation.from_matrix(X[:3, :3].T @ wanted[:, :3, :3]).as_rotvec()
+    scatter = np.hstack([turned, (wanted[:, :3, 3] - X[:3, 3]) @ X[:3, :3]])
+    covariance = np.zeros((12, 12))
+    covariance[:6, :6], covariance[6:, 6:] = steps.covariance, scatter.T @ scatter / len(scatter)
+    return PoseLevel(steps.camera_T_ref, X, covariance, steps.noise, np.append(steps.weights, 1.0))
+
+
+def _weights(r: FloatArray, covariance: FloatArray, tail: float) -> FloatArray:
+    """(V,) of a Student t; 1 of a Gaussian."""
+    if np.isinf(tail):
+        return np.ones(len(r))
+    return np.asarray((tail + 6.0) / (tail + _distance2(r, covariance)))
+
+
+def _minus_log_likelihood(r: FloatArray, covariance: FloatArray, tail: float) -> float:
+    """Up to what all tails have in common."""
+    from scipy.special import gammaln
+
+    distance2, half = _distance2(r, covariance), 0.5 * np.linalg.slogdet(covariance)[1]
+    if np.isinf(tail):
+        return float(np.sum(0.5 * distance2 + half))
+    constant = gammaln(0.5 * tail) - gammaln(0.5 * (tail + 6.0)) + 3.0 * np.log(0.5 * tail)
+    return float(np.sum(half + constant + 0.5 * (tail + 6.0) * np.log1p(distance2 / tail)))
+
+
+def _distance2(r: FloatArray, covariance: FloatArray) -> FloatArray:
+    white = np.linalg.solve(np.linalg.cholesky(covariance), r.T)
+    return np.asarray((white**2).sum(axis=0))
+
+
+def _robust_covariance(r: FloatArray) -> FloatArray:
+    """By medians, alike in all directions of the rotation, and of the shift."""
+    sigmas = [1.4826 * float(np.median(np.abs(part))) for part in (r[:, :3], r[:, 3:])]
+    return np.diag(np.repeat([max(sigmas[0], _LEAST_RAD), max(sigmas[1], _LEAST_M)], 3) ** 2)
+
+
+def _shrunk(covariance: FloatArray, n: int) -> FloatArray:
+    """Of few views, drawn to one without correlations that is alike in all directions of the rotation, and of the
+    shift: by the logarithms of its sigmas, which may well differ by a factor of thirty."""
+    logs = np.log(np.maximum(np.diag(covariance), np.repeat([_LEAST_RAD, _LEAST_M], 3) ** 2))
+    correlations = covariance / np.sqrt(np.outer(np.diag(covariance), np.diag(covariance)).clip(min=1e-300))
+    share = _SHRUNK_BY / (n + _SHRUNK_BY)
+    alike = np.repeat([logs[:3].mean(), logs[3:].mean()], 3)
+    sigmas = np.exp(0.5 * ((1.0 - share) * logs + share * alike))
+    drawn = (1.0 - share) * correlations + share * np.eye(6)
+    return np.asarray(drawn * np.outer(sigmas, sigmas))
+
+
+def _skew(vectors: FloatArray) -> FloatArray:
+    """(V, 3, 3) with skew(v) w = v x w."""
+    x, y, z = vectors.T
+    zero = np.zeros_like(x)
+    return np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=1).reshape(-1, 3, 3)
+
+
+def _inverse_right_jacobians(phi: FloatArray) -> FloatArray:
+    """(V, 3, 3) of Log(R Exp(w)) by w at w = 0, with R = Exp(phi) (Sola et al. 2018, eq. 144)."""
+    angle = np.linalg.norm(phi, axis=1)
+    safe = np.maximum(angle, 1e-4)
+    of_square = np.where(angle < 1e-4, 1.0 / 12.0, 1.0 / safe**2 - (1.0 + np.cos(safe)) / (2.0 * safe * np.sin(safe)))
+    K = _skew(phi)
+    return np.asarray(np.eye(3) + 0.5 * K + of_square[:, None, None] * (K @ K))
