@@ -4,15 +4,23 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import cv2
+import gtsam
 import numpy as np
 import pytest
+import study_board
 import study_coverage
 import study_effects
+import study_halves
 import study_kernels
 import study_priors
 import table1_benchmark
 import table2_ablation
+import yardstick_detection
+import yardstick_hand_eye
+from calibration_support import HEADSET, simulated
 
+from gtcal import CalibrationOptions, calibrate, synchronise
 from gtcal.baselines.compare import JOINT
 from gtcal.results.covariance import NAIVE
 
@@ -106,3 +114,45 @@ def test_effects() -> None:
     assert all(abs(one.deviation) < 5.0 for (one,) in found.values() if one.found)
     assert found[None, 0.0][0].others == ()
     assert study_effects.table_of(found).row_count == len(cases)
+
+
+def test_boards() -> None:
+    """What a bow does where the board is taken as flat, and that it does nothing by default."""
+    runs = [study_board.Run("bow 1 mm", way, 70_000) for way in ("board exact, intrinsics auto", "default")]
+    exact, default = (study_board.outcome(run) for run in runs)
+    assert default.error_mm < 0.5 * exact.error_mm
+    assert default.nees_per_dof < 3.0
+    assert study_board.table_of([exact, default]).row_count == 2
+
+
+def test_halves() -> None:
+    observations = synchronise(simulated(HEADSET, frames=60).recording)
+    for cut in study_halves.CUTS:
+        halves = [study_halves.Way(cut, seed).first_half(observations) for seed in range(2)]
+        assert all(abs(half.mean() - 0.5) < 0.1 for half in halves)
+        assert (halves[0] != halves[1]).any()
+    options = CalibrationOptions(effects=False, allow_degenerate=True)
+    whole = calibrate(simulated(HEADSET, frames=60).recording, options)
+    found = study_halves.outcome(study_halves.Way(study_halves.CUTS[1], 0), observations, options, whole)
+    assert 0.2 < found.whole.per_dof < 3.0
+    rows = list(study_halves.rows("simulated", whole, [found], 1))
+    assert [row[2] for row in rows] == ["0 of 1", "1 of 1"]
+
+
+def test_detectors() -> None:
+    camera = yardstick_detection.PINHOLE
+    seen = list(yardstick_detection.shots(camera, yardstick_detection.LOOKS["sharp"], 2, 0))
+    by_opencv = yardstick_detection.opencv(cv2.aruco.CORNER_REFINE_SUBPIX)
+    ours, theirs = (yardstick_detection.score(by, seen) for by in (yardstick_detection.ours(None), by_opencv))
+    assert ours.recall > 0.95
+    assert float(ours.cells[1]) < 0.6 * float(theirs.cells[1])
+
+
+def test_hand_eye_as_a_solver_of_kinhec() -> None:
+    random = np.random.default_rng(0)
+    X, Y, *poses = (gtsam.Pose3.Expmap(random.normal(size=6)).matrix() for _ in range(14))
+    A = np.stack(poses)
+    B = np.linalg.inv(Y) @ A @ X
+    found = yardstick_hand_eye.solve((A, B, None, None), random)
+    assert np.allclose(found["X"], X, atol=1e-5)
+    assert np.allclose(found["Y"], Y, atol=1e-5)
