@@ -48,3 +48,19 @@ def inverse(a_T_b: FloatArray) -> FloatArray:
     b_T_a[..., :3, 3] = -(rotation @ a_T_b[..., :3, 3:])[..., 0]
     b_T_a[..., 3, 3] = 1.0
     return b_T_a
+
+
+def skew(vectors: FloatArray) -> FloatArray:
+    """(..., 3, 3) with skew(v) w = v x w, of vectors (..., 3)."""
+    x, y, z = np.moveaxis(vectors, -1, 0)
+    zero = np.zeros_like(x)
+    return np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=-1).reshape(*vectors.shape[:-1], 3, 3)
+
+
+def adjoint(a_T_b: FloatArray) -> FloatArray:
+    """Ad(a_T_b), (N, 6, 6) of (N, 4, 4)."""
+    R = a_T_b[:, :3, :3]
+    found = np.zeros((len(a_T_b), 6, 6))
+    found[:, :3, :3] = found[:, 3:, 3:] = R
+    found[:, 3:, :3] = skew(a_T_b[:, :3, 3]) @ R
+    return found

@@ -13,11 +13,10 @@ from calibration_support import HEADSET, simulated
 from cli_support import run
 from PIL import Image
 
-from factors.rigid import inverse
+from factors.rigid import adjoint, inverse
 from gtcal import Calibration, CalibrationOptions, GtcalError, calibrate, write_calibration
 from gtcal.differences.difference import ALL, TO_EACH_OTHER, Difference, DifferenceOptions, Verdict, difference
 from gtcal.estimation.earlier import BOARD
-from gtcal.estimation.mocap_noise import adjoint
 from gtcal.recordings.capture import Capture
 from gtcal.simulation import MocapNoise
 from gtcal.simulation.simulate import simulate_take

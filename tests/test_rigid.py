@@ -8,7 +8,7 @@ import pytest
 from factors_support import poses
 
 from factors.moments import chain
-from factors.rigid import adjoint_of_inverse, compose, inverse
+from factors.rigid import adjoint, adjoint_of_inverse, compose, inverse, skew
 
 
 @pytest.fixture
@@ -41,3 +41,13 @@ def test_the_adjoint_carries_tangents_to_the_other_side(transforms: np.ndarray) 
         np.testing.assert_allclose(adjoint, pose.inverse().AdjointMap(), atol=1e-14)
         moved = pose.compose(gtsam.Pose3.Expmap(adjoint @ xi))
         np.testing.assert_allclose(moved.matrix(), gtsam.Pose3.Expmap(xi).compose(pose).matrix(), atol=1e-13)
+
+
+def test_the_adjoint_is_gtsams_and_skew_is_a_cross_product() -> None:
+    random = np.random.default_rng(0)
+    poses = [gtsam.Pose3.Expmap(random.normal(size=6)) for _ in range(5)]
+    found = adjoint(np.stack([pose.matrix() for pose in poses]))
+    np.testing.assert_allclose(found, [pose.AdjointMap() for pose in poses], atol=1e-12)
+    v, w = random.normal(size=(2, 4, 3))
+    np.testing.assert_allclose(np.einsum("nij,nj->ni", skew(v), w), np.cross(v, w), atol=1e-12)
+    np.testing.assert_allclose(skew(v[0]), skew(v)[0])

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from factors.rigid import inverse
+from factors.rigid import inverse, skew
 from gtcal.baselines.pose_pairs import PosePairs, relative_motions
 from gtcal.camera import FloatArray
 
@@ -20,7 +20,7 @@ def tsai_lenz(pairs: Mapping[str, PosePairs]) -> tuple[FloatArray, dict[str, Flo
     """X and each camera_T_ref. Rotation by modified Rodrigues vectors, then translation (Tsai and Lenz 1989)."""
     A, B = relative_motions(pairs, np.random.default_rng(0))
     a, b = (_half_sine_axes(motions[:, :3, :3]) for motions in (A, B))
-    rows, right = _skew(a + b).reshape(-1, 3), (b - a).ravel()
+    rows, right = skew(a + b).reshape(-1, 3), (b - a).ravel()
     tangent = np.linalg.lstsq(rows, right, rcond=None)[0]  # tan(angle / 2) times the axis
     x, y, z, w = *tangent, 1.0
     rotation = Rotation.from_quat([x, y, z, w]).as_matrix()
@@ -94,13 +94,6 @@ def _half_sine_axes(rotations: FloatArray) -> FloatArray:
     vectors = Rotation.from_matrix(rotations).as_rotvec()
     angles = np.linalg.norm(vectors, axis=1, keepdims=True)
     return np.asarray(2.0 * np.sin(0.5 * angles) * vectors / angles)
-
-
-def _skew(vectors: FloatArray) -> FloatArray:
-    """(N, 3, 3)."""
-    x, y, z = vectors.T
-    zero = np.zeros_like(x)
-    return np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=1).reshape(-1, 3, 3)
 
 
 def _rigid(rotation: FloatArray, translation: FloatArray) -> FloatArray:

@@ -18,12 +18,11 @@ import numpy as np
 from scipy.stats import chi2
 
 from factors.board_shape import N_SHAPE, outline_of, shaped
-from factors.rigid import inverse
+from factors.rigid import adjoint, inverse
 from gtcal.board import board_from_manifest
 from gtcal.camera import BoolArray, Camera, FloatArray
 from gtcal.errors import GtcalError
 from gtcal.estimation.earlier import BOARD, SHAPE, intrinsics_of
-from gtcal.estimation.mocap_noise import adjoint
 from gtcal.results.calibration import Calibration, pose_difference
 from gtcal.results.covariance import JointCovariance
 from gtcal.uncertainty.projected import (

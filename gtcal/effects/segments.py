@@ -14,14 +14,13 @@ from dataclasses import dataclass, replace
 import gtsam
 import numpy as np
 
-from factors.rigid import inverse
+from factors.rigid import adjoint, inverse
 from gtcal.camera import FloatArray
 from gtcal.effects.change_points import ChangePoint, parts
 from gtcal.effects.evidence import Sums
 from gtcal.effects.find import effect_warnings, find_effects, frames_of, with_found
 from gtcal.effects.frames import Frames
 from gtcal.estimation.estimate import Estimate
-from gtcal.estimation.mocap_noise import adjoint
 from gtcal.estimation.observations import Observations, Views
 from gtcal.estimation.options import CalibrationOptions
 from gtcal.estimation.residuals import select_views

@@ -7,12 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from factors.rigid import inverse
+from factors.rigid import adjoint, inverse
 from gtcal.camera import FloatArray
 from gtcal.clock.local_motion import parabolas
 from gtcal.effects.effect import single
 from gtcal.effects.frames import Frames
-from gtcal.estimation.mocap_noise import adjoint
 from gtcal.recordings.capture import Capture, RefMotion
 from gtcal.results.effect_finding import Moment, Quantity
 

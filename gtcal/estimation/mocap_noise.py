@@ -18,7 +18,7 @@ from scipy.linalg import solve_triangular
 from scipy.optimize import minimize
 from scipy.stats import chi2
 
-from factors.rigid import inverse
+from factors.rigid import adjoint, inverse
 from gtcal.camera import BoolArray, FloatArray
 from gtcal.estimation.frame_statistics import SMALLEST_CORRELATION, FrameMoments, regular, subtract_noise
 from gtcal.estimation.options import MocapSigmas
@@ -157,17 +157,6 @@ class NoiseBases:
     def share(self, body: str, correlation_s: float) -> FloatArray:
         """(N,) variance of the body's interpolated pose, as a share of a sample's."""
         return self.motion.trajectories[body].interpolated_variance(self.stamps_ns, correlation_s)
-
-
-def adjoint(a_T_b: FloatArray) -> FloatArray:
-    """Ad(a_T_b), (N, 6, 6)."""
-    R, (x, y, z) = a_T_b[:, :3, :3], a_T_b[:, :3, 3].T
-    zero = np.zeros_like(x)
-    skew = np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=1).reshape(-1, 3, 3)
-    adjoint = np.zeros((len(a_T_b), 6, 6))
-    adjoint[:, :3, :3] = adjoint[:, 3:, 3:] = R
-    adjoint[:, 3:, :3] = skew @ R
-    return adjoint
 
 
 def estimate_noise(frames: FrameMoments, motion: RefMotion, information: FloatArray) -> MocapNoiseModel | None:

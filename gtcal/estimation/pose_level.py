@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 
 from factors.marginal import MarginalFactor
 from factors.moments import chain
-from factors.rigid import inverse
+from factors.rigid import inverse, skew
 from gtcal.camera import FloatArray
 from gtcal.errors import GtcalError
 from gtcal.estimation.alignment_descent import converged_sweep
@@ -120,7 +120,7 @@ class _Absolute:
         into = _inverse_right_jacobians(phi)
         R_Y = camera_T_ref[:3, :3]
         J[:, :3, :3], J[:, :3, 6:9] = into @ np.swapaxes(placed[:, :3, :3], 1, 2), into
-        J[:, 3:, :3], J[:, 3:, 3:6] = -R_Y @ _skew(placed[:, :3, 3]), R_Y
+        J[:, 3:, :3], J[:, 3:, 3:6] = -R_Y @ skew(placed[:, :3, 3]), R_Y
         J[:, 3:, 9:] = expected[:, :3, :3]
         return np.hstack([phi, expected[:, :3, 3] - self.camera_T_board[:, :3, 3]]), J
 
@@ -146,7 +146,7 @@ class _Steps:
         J[:, :3, :3] = into @ R_Y @ (np.swapaxes(R_step, 1, 2) - np.eye(3))
         at = -np.asarray(R_Y.T @ camera_T_ref[:3, 3])  # Y's camera in ref: what Y^-1 takes zero to
         moved = R_step @ at + steps[:, :3, 3]
-        J[:, 3:, :3] = R_Y @ (R_step @ _skew(at[None])[0] - _skew(moved))
+        J[:, 3:, :3] = R_Y @ (R_step @ skew(at) - skew(moved))
         J[:, 3:, 3:6] = R_Y @ (np.eye(3) - R_step)
         return np.hstack([phi, expected[:, :3, 3] - measured[:, :3, 3]]), J
 
@@ -257,17 +257,10 @@ def _shrunk(covariance: FloatArray, n: int) -> FloatArray:
     return np.asarray(drawn * np.outer(sigmas, sigmas))
 
 
-def _skew(vectors: FloatArray) -> FloatArray:
-    """(V, 3, 3) with skew(v) w = v x w."""
-    x, y, z = vectors.T
-    zero = np.zeros_like(x)
-    return np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=1).reshape(-1, 3, 3)
-
-
 def _inverse_right_jacobians(phi: FloatArray) -> FloatArray:
     """(V, 3, 3) of Log(R Exp(w)) by w at w = 0, with R = Exp(phi) (Sola et al. 2018, eq. 144)."""
     angle = np.linalg.norm(phi, axis=1)
     safe = np.maximum(angle, 1e-4)
     of_square = np.where(angle < 1e-4, 1.0 / 12.0, 1.0 / safe**2 - (1.0 + np.cos(safe)) / (2.0 * safe * np.sin(safe)))
-    K = _skew(phi)
+    K = skew(phi)
     return np.asarray(np.eye(3) + 0.5 * K + of_square[:, None, None] * (K @ K))

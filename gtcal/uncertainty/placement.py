@@ -14,6 +14,7 @@ from functools import cached_property
 
 import numpy as np
 
+from factors.rigid import skew
 from gtcal.board import board_from_manifest
 from gtcal.camera import Camera, FloatArray
 from gtcal.recordings.capture import Capture
@@ -100,7 +101,7 @@ class Placement:
         R = self.body_T_board[:3, :3]
         J = np.zeros((6, 6))
         J[:3, :3] = R * (np.rad2deg(1.0) / UNIT_DEG)
-        J[3:, :3] = -R @ _skew(self.board_centre_m) * (1e3 / UNIT_MM)
+        J[3:, :3] = -R @ skew(self.board_centre_m) * (1e3 / UNIT_MM)
         J[3:, 3:] = R * (1e3 / UNIT_MM)
         return J
 
@@ -110,11 +111,6 @@ def _of_camera(camera_T_ref: FloatArray) -> FloatArray:
     R, t = camera_T_ref[:3, :3], camera_T_ref[:3, 3]
     J = np.zeros((6, 6))
     J[:3, :3] = R * (np.rad2deg(1.0) / UNIT_DEG)
-    J[3:, :3] = _skew(-R.T @ t) * (1e3 / UNIT_MM)
+    J[3:, :3] = skew(-R.T @ t) * (1e3 / UNIT_MM)
     J[3:, 3:] = -np.eye(3) * (1e3 / UNIT_MM)
     return J
-
-
-def _skew(v: FloatArray) -> FloatArray:
-    x, y, z = v
-    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
