@@ -10,7 +10,7 @@ is chosen by the smaller noise.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import gtsam
 import numpy as np
@@ -58,13 +58,15 @@ class PoseNoise:
 @dataclass(frozen=True)
 class PoseLevel:
     """camera_T_ref, body_T_board: (4, 4). covariance: (12, 12) of both, in that order, in their right tangents.
-    weights: (V,) of the views, about 1, and near 0 for those that are gross."""
+    weights: (V,) of the views, about 1, and near 0 for those that are gross. minus_log_likelihood: of the measured
+    poses, but for a constant; it also tells which of two readings of the same poses is the likelier."""
 
     camera_T_ref: FloatArray
     body_T_board: FloatArray
     covariance: FloatArray
     noise: PoseNoise
     weights: FloatArray
+    minus_log_likelihood: float
 
 
 def calibrate_poses(
@@ -156,12 +158,11 @@ _Model = _Absolute | _Steps
 
 def _settled(model: _Model, start: tuple[FloatArray, FloatArray]) -> PoseLevel:
     """By the tail that explains the views best."""
-    found = [_with_tail(model, start, tail) for tail in _TAILS]
-    return min(found, key=lambda one: one[0])[1]
+    return min((_with_tail(model, start, tail) for tail in _TAILS), key=lambda found: found.minus_log_likelihood)
 
 
-def _with_tail(model: _Model, start: tuple[FloatArray, FloatArray], tail: float) -> tuple[float, PoseLevel]:
-    """Estimate and noise in turns, until both stay; minus the logarithm of their likelihood, too."""
+def _with_tail(model: _Model, start: tuple[FloatArray, FloatArray], tail: float) -> PoseLevel:
+    """Estimate and noise in turns, until both stay."""
     (Y, X), r = start, model.residuals(*start)[0]
     covariance = _robust_covariance(r)
     for _ in range(_ROUNDS):
@@ -175,8 +176,8 @@ def _with_tail(model: _Model, start: tuple[FloatArray, FloatArray], tail: float)
     weights = _weights(r, covariance, tail)
     J = J[:, :, : 6 * len(model.keys)]
     information = np.einsum("via,ij,vjb->ab", J * weights[:, None, None], np.linalg.inv(covariance), J)
-    level = PoseLevel(Y, X, scaled_inverse(information), PoseNoise(covariance, tail, model.drifts), weights)
-    return _minus_log_likelihood(r, covariance, tail), level
+    noise, likelihood = PoseNoise(covariance, tail, model.drifts), _minus_log_likelihood(r, covariance, tail)
+    return PoseLevel(Y, X, scaled_inverse(information), noise, weights, likelihood)
 
 
 def _minimised(
@@ -213,7 +214,7 @@ def _with_board(steps: PoseLevel, still: _Absolute) -> PoseLevel:
     scatter = np.hstack([turned, (wanted[:, :3, 3] - X[:3, 3]) @ X[:3, :3]])
     covariance = np.zeros((12, 12))
     covariance[:6, :6], covariance[6:, 6:] = steps.covariance, scatter.T @ scatter / len(scatter)
-    return PoseLevel(steps.camera_T_ref, X, covariance, steps.noise, np.append(steps.weights, 1.0))
+    return replace(steps, body_T_board=X, covariance=covariance, weights=np.append(steps.weights, 1.0))
 
 
 def _weights(r: FloatArray, covariance: FloatArray, tail: float) -> FloatArray:
