@@ -75,9 +75,9 @@ def test_the_jacobians_are_numeric_ones(model: type[_Absolute] | type[_Steps]) -
 
 
 def test_the_covariance_is_true() -> None:
-    arms = [Arm(seed, 40) for seed in range(30)]
+    arms = [Arm(seed, 40) for seed in range(16)]
     nees = [arm.nees(calibrate_poses(arm.ref_T_body, arm.measured(*NOISE))) for arm in arms]
-    assert 0.8 < np.mean(nees) < 1.4
+    assert 0.7 < np.mean(nees) < 1.5
 
 
 def test_noise_that_differs_by_direction_is_weighed_so() -> None:

@@ -32,7 +32,8 @@ KernelName = Literal[
 
 
 def calibrate(
-    recordings: Annotated[tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="RECORDING [RECORDING ...]")],
+    recording: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="RECORDING")],
+    more: Annotated[tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="[RECORDING ...]")] = (),
     *,
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("calibration.json"),
     report: Path | None = None,
@@ -80,9 +81,9 @@ def calibrate(
     image, near and far. Judge by the RMSE (a good lens model and mocap give 0.1 to 0.5 px) and by 'left out'.
 
     Args:
-        recordings: Folder with the manifest (recording.yaml or recording.json), or the manifest itself. Of several, in
-            the order in which they were taken, all that does not move between them is shared, and what moves is named;
-            the result is the rig as it is in the last.
+        recording: Folder with the manifest (recording.yaml or recording.json), or the manifest itself.
+        more: Later recordings of the same rig, in the order in which they were taken: all that does not move between
+            them is shared, and what moves is named; the result is the rig as it is in the last.
         output: File to write.
         report: HTML file to write with figures of the result (as 'gtcal report' does).
         intrinsics: 'auto': solved for jointly with the extrinsics, near the manifest's values, by their sigmas (stated
@@ -148,7 +149,6 @@ def calibrate(
     """
     from gtcal.cli.progress import shown_progress
     from gtcal.cli.tables import print_calibration
-    from gtcal.errors import GtcalError
     from gtcal.estimation.options import CalibrationOptions
     from gtcal.estimation.priors import Priors
     from gtcal.estimation.priors_file import read_priors
@@ -182,9 +182,7 @@ def calibrate(
         seed=seed,
         allow_degenerate=allow_degenerate,
     )
-    if not recordings:
-        raise GtcalError("no recording was given: 'gtcal calibrate FOLDER'")
-    loaded = [load_recording(recording) for recording in recordings]
+    loaded = [load_recording(path) for path in (recording, *more)]
     earlier = None if from_ is None else _earlier(from_, from_parts, from_days, from_growth)
     read = [file for one in loaded for file in one.files] + [path for path in (priors, from_) if path is not None]
     check_outputs((output, report), read)
