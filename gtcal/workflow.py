@@ -11,7 +11,7 @@ from gtcal.blas import on_one_blas_thread
 from gtcal.camera import Camera
 from gtcal.clock.find import tested, with_clock, with_stated_readouts
 from gtcal.detection.detect import cached_detect
-from gtcal.differences.carried_over import EarlierCalibration, known_from, with_earlier_lenses
+from gtcal.differences.carried_over import EarlierCalibration, check_independent, known_from, with_earlier_lenses
 from gtcal.doctor.hint import likely_mistake, looks_wrong
 from gtcal.effects.find import with_effects
 from gtcal.effects.segments import in_segments
@@ -44,6 +44,7 @@ def calibrate(
     options = options or CalibrationOptions()
     recording = detected(recording, progress=progress)
     if earlier is not None:
+        check_independent(earlier, recording.inputs)
         recording = replace(recording, cameras=with_earlier_lenses(recording.cameras, earlier))
     as_stamped, reports = _with_intrinsics(synchronise(recording), options, progress)
     inputs = (*recording.inputs, *(earlier.inputs if earlier is not None else ()))

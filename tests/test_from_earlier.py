@@ -221,3 +221,7 @@ def test_the_command_goes_on_from_a_file(first: Simulation, earlier: EarlierCali
     assert document["provenance"]["options"]["priors"]["earlier"] == list(found.carried_over.kept)
     ran = run("calibrate", tmp_path / "r", "-o", tmp_path / "first.json", "--from", tmp_path / "first.json")
     assert ran.code == 1
+    for twice in (["--from", tmp_path / "c.json"], [tmp_path / "r"]):
+        ran = run("calibrate", tmp_path / "r", *twice, "-o", tmp_path / "again.json")
+        assert ran.code == 1
+        assert "the earlier calibration rests on it already" in ran.err

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 from typing import Literal, get_args
 
 from gtcal.camera import Camera
-from gtcal.differences.difference import ALL, TO_EACH_OTHER, Difference, difference
+from gtcal.differences.difference import ALL, TO_EACH_OTHER, Difference, difference, measured
 from gtcal.errors import GtcalError
 from gtcal.estimation.earlier import BOARD, SHAPE, Earlier, Growth, grown, intrinsics_of
 from gtcal.estimation.observations import Observations
@@ -52,6 +52,14 @@ class EarlierCalibration:
             return self.source
         days = self.growth.days
         return f"the earlier calibration ({days:.3g} day{'' if days == 1.0 else 's'} ago)"
+
+
+def check_independent(earlier: EarlierCalibration, inputs: tuple[InputFile, ...]) -> None:
+    """Raises GtcalError where the earlier calibration rests on some of the same measurements: they would count twice,
+    and the result would claim to be surer than it is."""
+    if shared := measured(inputs) & measured(earlier.calibration.provenance.inputs):
+        file = next(entry.path for entry in inputs if entry.sha256 in shared)
+        raise GtcalError(f"{file}: the earlier calibration rests on it already; give another recording of the rig")
 
 
 def with_earlier_lenses(cameras: dict[str, Camera], earlier: EarlierCalibration) -> dict[str, Camera]:

@@ -9,7 +9,7 @@ calibrations are taken to rest on recordings of their own.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 
@@ -23,6 +23,7 @@ from gtcal.board import board_from_manifest
 from gtcal.camera import BoolArray, Camera, FloatArray
 from gtcal.errors import GtcalError
 from gtcal.estimation.earlier import BOARD, SHAPE, intrinsics_of
+from gtcal.files import InputFile
 from gtcal.results.calibration import Calibration, pose_difference
 from gtcal.results.covariance import JointCovariance
 from gtcal.uncertainty.projected import (
@@ -241,16 +242,16 @@ def _notes(a: Calibration, b: Calibration) -> tuple[str, ...]:
     for name, camera in a.cameras.items():
         if name in b.cameras and camera.camera.model != b.cameras[name].camera.model:
             notes.append(f"intrinsics of {name}: of different models, compared by their pixels alone")
-    if _measured(a) & _measured(b):
+    if measured(a.provenance.inputs) & measured(b.provenance.inputs):
         notes.append(
             "both rest on some of the same files: errors that they share cancel, so the difference shows too little"
         )
     return tuple(notes)
 
 
-def _measured(calibration: Calibration) -> set[str]:
-    """Hashes of the files that hold what was measured; a manifest may well be the same."""
-    return {entry.sha256 for entry in calibration.provenance.inputs if entry.path.suffix not in _MANIFESTS}
+def measured(inputs: Iterable[InputFile]) -> set[str]:
+    """Hashes of those files that hold what was measured; a manifest may well be the same."""
+    return {entry.sha256 for entry in inputs if entry.path.suffix not in _MANIFESTS}
 
 
 @dataclass(frozen=True)
