@@ -62,7 +62,7 @@ LOOSE, LOOSE_PX = 5.0, 1.0
 PLAIN_NOISE_MM, PLAIN_NOISE_DEG = 2.0, 0.3
 """What a mocap or an arm may err by, at random, without something being wrong with the recording."""
 
-MANY_DROPPED, SOME_DROPPED = 0.25, 0.05
+MANY_DROPPED, SOME_DROPPED = 0.15, 0.05
 """Shares of gross views that an operator should hear of: that contradict the chain, and that noise does not explain.
 The second by two sigma of the count, and by more than two views."""
 
