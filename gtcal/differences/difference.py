@@ -270,7 +270,7 @@ class _Poses:
         return _Poses(names, *poses, *(_of_poses(joint_covariance_of(found), names) for found in (a, b)))
 
     def xi(self, aligned: FloatArray | None) -> FloatArray:
-        """(C, 6) with Y_c of A * Exp(xi) = Y_c of B * A_ref_T_B_ref^-1 in the ref of A."""
+        """(C, 6) with Y_c of A * Exp(xi) = Y_c of B * aligned, which is B_ref_T_A_ref."""
         return np.stack([_log(inverse(y_a) @ y_b) for y_a, y_b in zip(self.first, self._second(aligned), strict=True)])
 
     def covariance(self, aligned: FloatArray | None) -> FloatArray:
