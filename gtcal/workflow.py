@@ -101,7 +101,12 @@ def calibrate_jointly(
     if len(found) < 2:
         return found[-1]
     moved = tuple(line for one in carried for line in one.moved)
-    return replace(found[-1], carried_over=replace(carried[-1], moved=moved))
+    warnings = [
+        f"recording {number} of {len(found)}: {line}"
+        for number, one in enumerate(found[:-1], start=1)
+        for line in one.warnings
+    ]
+    return replace(found[-1], carried_over=replace(carried[-1], moved=moved), warnings=(*warnings, *found[-1].warnings))
 
 
 def _doctor(recording: Recording) -> str:

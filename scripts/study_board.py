@@ -25,6 +25,7 @@ from systematic import Spoil, bow, scale
 
 from factors.rigid import inverse
 from gtcal import Calibration, CalibrationOptions, GtcalError, Recording, calibrate
+from gtcal.estimation.linear import squared_distance
 from gtcal.simulation import MocapNoise, Simulation, SimulationOptions, simulate
 
 NOISE = MocapNoise(translation_mm=0.1, rotation_deg=0.01)
@@ -88,9 +89,7 @@ def _by_camera(found: Calibration, simulation: Simulation) -> Iterator[tuple[flo
         assert pose.covariance is not None
         xi = gtsam.Pose3.Logmap(gtsam.Pose3(inverse(pose.a_T_b) @ true_pose))
         error_mm = 1e3 * float(np.linalg.norm(inverse(pose.a_T_b)[:3, 3] - inverse(true_pose)[:3, 3]))
-        scale_of = 1.0 / np.sqrt(np.diag(pose.covariance))
-        whitened = np.linalg.solve(pose.covariance * np.outer(scale_of, scale_of), xi * scale_of)
-        yield error_mm, float(np.linalg.norm(sigma_mm)), float(xi * scale_of @ whitened) / 6.0
+        yield error_mm, float(np.linalg.norm(sigma_mm)), squared_distance(xi, pose.covariance) / 6.0
 
 
 def study(runs: int, seed: int, workers: int | None) -> list[Outcome]:

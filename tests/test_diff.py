@@ -165,6 +165,12 @@ def test_the_command_prints_writes_and_draws_it(pair: tuple[Calibration, Calibra
     assert Image.open(tmp_path / "d.png").size[0] > 1000
     ran = run("diff", tmp_path / "a.json", tmp_path / "same.json", "-q")
     assert (ran.code, ran.out, ran.err) == (0, "", "")
+    ran = run(
+        "diff", tmp_path / "a.json", tmp_path / "b.json", "-o", tmp_path / "e.json", "--figure", tmp_path / "e.gif"
+    )
+    assert ran.code == 1
+    assert "a figure is .svg or .png" in ran.err
+    assert not (tmp_path / "e.json").exists()
     ran = run("diff", tmp_path / "a.json", tmp_path / "a.json")
     assert ran.code == 1
     assert "are the same calibration" in ran.err

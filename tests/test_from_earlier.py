@@ -195,6 +195,10 @@ def test_what_moves_between_recordings_is_named_and_not_shared(first: Simulation
     together = calibrate_jointly([one.recording for one in takes], OPTIONS)
     assert any(line.startswith("side_left: moved by") for line in together.carried_over.moved)
     assert errors(together, takes[-1])[1] < 2.0
+    assert not any(warning.startswith("recording 1 of 2") for warning in together.warnings)
+    poor = simulate_take(replace(first.options, n_frames=30, swap_share=0.4), seed=5, take=2)
+    warned = calibrate_jointly([poor.recording, takes[0].recording], OPTIONS).warnings
+    assert any(warning.startswith("recording 1 of 2: ") for warning in warned)
     with pytest.raises(GtcalError, match="segments are of one recording"):
         calibrate_jointly([one.recording for one in takes], CalibrationOptions(segments="auto"))
 
@@ -221,6 +225,18 @@ def test_the_command_goes_on_from_a_file(first: Simulation, earlier: EarlierCali
     assert document["provenance"]["options"]["priors"]["earlier"] == list(found.carried_over.kept)
     ran = run("calibrate", tmp_path / "r", "-o", tmp_path / "first.json", "--from", tmp_path / "first.json")
     assert ran.code == 1
+    document["provenance"]["created_utc"] = "yesterday"
+    (tmp_path / "undated.json").write_text(json.dumps(document))
+    ran = run("calibrate", tmp_path / "r2", "-o", tmp_path / "x.json", "--from", tmp_path / "undated.json")
+    assert (ran.code, ran.err.count("\n")) == (1, 1)
+    assert "undated.json: provenance.created_utc: 'yesterday' is no time" in ran.err
+    document["covariances"] = {}
+    (tmp_path / "bare.json").write_text(json.dumps(document))
+    for command in (["calibrate", tmp_path / "r2", "--from"], ["diff", tmp_path / "c.json"]):
+        ran = run(*command, tmp_path / "bare.json", "-o", tmp_path / "x.json")
+        assert (ran.code, ran.err.count("\n")) == (1, 1)
+        assert "bare.json: has no covariance" in ran.err
+    assert not (tmp_path / "x.json").exists()
     for twice in (["--from", tmp_path / "c.json"], [tmp_path / "r"]):
         ran = run("calibrate", tmp_path / "r", *twice, "-o", tmp_path / "again.json")
         assert ran.code == 1

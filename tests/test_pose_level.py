@@ -9,7 +9,7 @@ from factors_support import numeric_derivative
 
 from factors.rigid import inverse
 from gtcal import GtcalError, calibrate_poses
-from gtcal.estimation.pose_level import PoseLevel, _Absolute, _Steps
+from gtcal.estimation.pose_level import PoseLevel, _Absolute, _settled, _Steps
 
 
 def random_pose(random: np.random.Generator, turn: float, shift_m: float) -> np.ndarray:
@@ -102,18 +102,27 @@ def test_gross_views_do_not_decide(share: float) -> None:
 
 
 def test_poses_that_drift_are_taken_by_their_steps() -> None:
+    """As of a visual odometry: each step is measured, and their errors add up."""
     arm = Arm(4, 200)
-    drift, seen = np.eye(4), []
-    for pose in arm.measured(0.0005, (0.0002, 0.0002, 0.0002)):
-        drift = drift @ random_pose(arm.random, 0.003, 0.003)
-        seen.append(pose @ drift)
-    camera_T_board = np.stack([inverse(drift) for drift in np.stack(seen)])
-    # what drifts is the camera's own path, as of a visual odometry
-    path = inverse(camera_T_board)
-    found = calibrate_poses(arm.ref_T_body, path)
-    still = calibrate_poses(arm.ref_T_body[:5], path[:5])
-    assert not still.noise.drifts
-    assert arm.error_mm(found) < 20.0
+    true_steps = arm.camera_T_board[:-1] @ inverse(arm.camera_T_board[1:])
+    seen = [arm.camera_T_board[0]]
+    for step in true_steps:
+        seen.append(inverse(moved(step, arm.random.normal(size=6) * 0.001)) @ seen[-1])
+    drifted = np.stack(seen)
+    found = calibrate_poses(arm.ref_T_body, drifted)
+    assert found.noise.drifts
+    as_absolute = _settled(_Absolute(arm.ref_T_body, drifted), (arm.Y, arm.X))
+    assert arm.error_mm(found) < 0.5 * arm.error_mm(as_absolute)
+    assert not calibrate_poses(arm.ref_T_body, arm.measured(*NOISE)).noise.drifts
+
+
+@pytest.mark.parametrize("spoil", [np.nan, 1e3, -1.0])
+def test_what_is_no_pose_is_named(spoil: float) -> None:
+    arm = Arm(5, 20)
+    wrong = arm.camera_T_board.copy()
+    wrong[7, :3, :3] *= spoil
+    with pytest.raises(GtcalError, match="camera_T_board: pose 7 is no rotation and translation"):
+        calibrate_poses(arm.ref_T_body, wrong)
 
 
 def test_what_stays_open_is_refused_in_a_line() -> None:

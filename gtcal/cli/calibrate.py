@@ -202,14 +202,23 @@ def _earlier(
     import datetime
 
     from gtcal.differences.carried_over import EarlierCalibration
+    from gtcal.errors import GtcalError
     from gtcal.estimation.earlier import Growth
     from gtcal.files import fingerprint
     from gtcal.results.calibration_file import read_calibration
 
     found = read_calibration(path)
+    if found.covariance is None:
+        raise GtcalError(f"{path}: has no covariance, so there is nothing to go on from; calibrate with all the stages")
     if days is None:
-        since = datetime.datetime.now(datetime.UTC) - datetime.datetime.fromisoformat(found.provenance.created_utc)
-        days = max(since.total_seconds() / 86400.0, 0.0)
+        try:
+            made = datetime.datetime.fromisoformat(found.provenance.created_utc).astimezone(datetime.UTC)
+        except ValueError:
+            raise GtcalError(
+                f"{path}: provenance.created_utc: {found.provenance.created_utc!r} is no time, so nobody can tell how "
+                "old it is; say it with --from-days"
+            ) from None
+        days = max((datetime.datetime.now(datetime.UTC) - made).total_seconds() / 86400.0, 0.0)
     mm, deg, lens = growth
     return EarlierCalibration(found, Growth(mm, deg, lens, days), parts, inputs=(fingerprint(path),))
 

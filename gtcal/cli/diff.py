@@ -64,13 +64,16 @@ def diff(
     if inputs[0].sha256 == inputs[1].sha256:
         raise GtcalError(f"{first} and {second} are the same calibration")
     a, b = read_calibration(first), read_calibration(second)
+    for path, calibration in ((first, a), (second, b)):
+        if calibration.covariance is None:
+            raise GtcalError(f"{path}: has no covariance, so what moved can't be told; calibrate with all the stages")
     found = difference(a, b, options)
-    if output is not None:
-        write_difference(output, found, provenance(options, inputs, time.perf_counter() - started))
     if figure is not None:
         from gtcal.differences.difference_figure import draw_difference
 
         draw_difference(figure, found, {name: camera.camera for name, camera in a.cameras.items()})
+    if output is not None:  # after the figure, which may be refused for its suffix
+        write_difference(output, found, provenance(options, inputs, time.perf_counter() - started))
     if not quiet:
         console = Terminal()
         console.print(_table(found))

@@ -43,11 +43,14 @@ def info(
         quiet: Print nothing.
     """
     from gtcal.cli.progress import shown_progress
+    from gtcal.errors import GtcalError
     from gtcal.files import check_outputs
     from gtcal.overview.kind import Kind, kind_of
     from gtcal.readers import detect_mocap_format
 
     if live:
+        if figure is not None or detect or quiet:
+            raise GtcalError("--live prints what it sees and goes without --figure, --detect and --quiet")
         _live(path, enough_mm, enough_deg)
         return
     check_outputs([figure], [path])

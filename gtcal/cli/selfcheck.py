@@ -29,9 +29,10 @@ def selfcheck(
     """Check a calibration against its own recording: halves of it, frames held out, and each image by itself.
 
     Three checks, each with a plain statement. Split half: calibrations from the first and the second half, whose
-    difference should be what its covariance lets expect. Hold-out: each block of time predicted by a calibration
-    that has not seen it, for the estimate taken and for stages 3 and 4, with the spread of the cameras' positions.
-    Chain against PnP: how much of the error is of lens model and detector, of the mocap, and of the calibration.
+    difference should be what the covariance of the whole lets expect. Hold-out: each block of time predicted by a
+    calibration that has not seen it, for the estimate taken and for stages 3 and 4, with the spread of the cameras'
+    positions. Chain against PnP: how much of the error is of lens model and detector, of the mocap, and of the
+    calibration.
 
     They can't find an error that is in the whole recording alike; 'gtcal verify' with a second recording can.
 

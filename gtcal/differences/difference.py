@@ -20,18 +20,20 @@ from scipy.stats import chi2
 from factors.board_shape import N_SHAPE, outline_of, shaped
 from factors.rigid import adjoint, inverse
 from gtcal.board import board_from_manifest
-from gtcal.camera import BoolArray, Camera, FloatArray
+from gtcal.camera import FloatArray
 from gtcal.errors import GtcalError
 from gtcal.estimation.earlier import BOARD, SHAPE, intrinsics_of
+from gtcal.estimation.linear import squared_distance
 from gtcal.files import InputFile
 from gtcal.results.calibration import Calibration, pose_difference
 from gtcal.results.covariance import JointCovariance
 from gtcal.uncertainty.projected import (
     CELLS_ACROSS,
-    camera_covariance,
     image_grid,
     joint_covariance_of,
     pixel_jacobians,
+    pixel_uncertainty,
+    points_ahead,
 )
 
 UNLIKELY = 0.01
@@ -323,7 +325,7 @@ def _common_motion(poses: _Poses) -> _Common | None:
     """Where most of the cameras surely moved, and more than half of them together."""
     n = len(poses.names)
     xi, sigma = poses.xi(None), poses.covariance(None)
-    surely = [chi2.sf(_distance2(xi[i], _block(sigma, i)), 6) < UNLIKELY / n for i in range(n)]
+    surely = [chi2.sf(squared_distance(xi[i], _block(sigma, i)), 6) < UNLIKELY / n for i in range(n)]
     keep = list(range(n))
     if 2 * sum(surely) <= n:
         return None
@@ -338,7 +340,7 @@ def _distance2_to_each_other(poses: _Poses, keep: Sequence[int]) -> float:
     common = _Common.of(poses, keep)
     columns = np.concatenate([np.arange(6 * i, 6 * i + 6) for i in keep])
     xi = poses.xi(common.aligned).ravel()[columns]
-    return _distance2(xi, poses.covariance(common.aligned)[np.ix_(columns, columns)])
+    return squared_distance(xi, poses.covariance(common.aligned)[np.ix_(columns, columns)])
 
 
 def _block(matrix: FloatArray, i: int) -> FloatArray:
@@ -349,7 +351,7 @@ def _of_the_rig(poses: _Poses, common: _Common | None) -> Iterator[Change]:
     n = len(poses.names)
     if common is not None:
         moved_mm, turned_deg = pose_difference(np.eye(4), inverse(common.aligned))
-        distance2 = _distance2(_log(inverse(common.aligned)), common.covariance)
+        distance2 = squared_distance(_log(inverse(common.aligned)), common.covariance)
         yield Change(ALL, distance2, 6, moved_mm, *_sigmas(common.covariance, turned_deg))
     if n > 1:
         farthest = max(_camera_changes(poses, _Common.of(poses, range(n))), key=lambda change: change.moved_mm)
@@ -370,7 +372,7 @@ def _camera_changes(poses: _Poses, common: _Common | None) -> Iterator[Change]:
         own = _block(sigma, i)
         moved_mm, turned_deg = pose_difference(inverse(poses.first[i]), inverse(second[i]))
         into = adjoint(poses.first[i][None])[0]  # Exp(xi) of ref, as a motion of the camera in its own frame
-        yield Change(name, _distance2(xi[i], own), 6, moved_mm, *_sigmas(into @ own @ into.T, turned_deg))
+        yield Change(name, squared_distance(xi[i], own), 6, moved_mm, *_sigmas(into @ own @ into.T, turned_deg))
 
 
 def _sigmas(covariance: FloatArray, turned_deg: float) -> tuple[float, float, float]:
@@ -387,14 +389,14 @@ def _of_lenses(a: Calibration, b: Calibration, names: tuple[str, ...], distance_
         if first.camera.model != second.camera.model or not covariances:
             continue
         xi, sigma = second.camera.theta - first.camera.theta, np.asarray(np.sum(covariances, axis=0))
-        points_m, has_point = _points(first.camera, distance_m)
+        points_m, has_point = points_ahead(first.camera, distance_m, CELLS_ACROSS)
         before, valid, J = pixel_jacobians(first.camera, np.eye(4), points_m)
         after, still, _ = pixel_jacobians(second.camera, np.eye(4), points_m)
         both = has_point & valid & still
         J = J[both][:, :, 6:]
         moved_px = _rms(np.linalg.norm(after[both] - before[both], axis=1))
         expected_px = float(np.sqrt(np.einsum("nik,kl,nil->n", J, sigma, J).mean()))
-        change = Change(intrinsics_of(name), _distance2(xi, sigma), len(xi))
+        change = Change(intrinsics_of(name), squared_distance(xi, sigma), len(xi))
         yield replace(change, rms_px=moved_px, expected_px=expected_px)
 
 
@@ -404,7 +406,7 @@ def _of_the_board(a: Calibration, b: Calibration) -> Iterator[Change]:
     sigma = joint_covariance_of(a).body_T_board + joint_covariance_of(b).body_T_board
     first, second = a.body_T_board.a_T_b, b.body_T_board.a_T_b
     moved_mm, turned_deg = pose_difference(first, second)
-    distance2 = _distance2(_log(inverse(first) @ second), sigma)
+    distance2 = squared_distance(_log(inverse(first) @ second), sigma)
     yield Change(BOARD, distance2, 6, moved_mm, *_sigmas(sigma, turned_deg))
 
 
@@ -419,51 +421,29 @@ def _of_the_shape(a: Calibration, b: Calibration) -> Iterator[Change]:
     moved_mm, sigma_mm = (
         1e3 * float(np.sqrt(square / len(corners_m))) for square in ((J @ xi) @ (J @ xi), np.trace(J @ sigma @ J.T))
     )
-    yield Change(SHAPE, _distance2(xi, sigma), N_SHAPE, moved_mm, sigma_mm)
+    yield Change(SHAPE, squared_distance(xi, sigma), N_SHAPE, moved_mm, sigma_mm)
 
 
 def _pixel_change(
     a: Calibration, b: Calibration, aligned: FloatArray | None, name: str, distance_m: float
 ) -> PixelChange:
-    first, second = a.cameras[name], b.cameras[name]
+    first = a.cameras[name]
     x_px, y_px = image_grid(first.camera, CELLS_ACROSS)
-    points_m, has_point = _points(first.camera, distance_m)
+    points_m, has_point = points_ahead(first.camera, distance_m, CELLS_ACROSS)
     into = inverse(first.camera_T_ref.a_T_b)
     in_ref_a = points_m @ into[:3, :3].T + into[:3, 3]
     to_b = np.eye(4) if aligned is None else aligned
     in_ref_b = in_ref_a @ to_b[:3, :3].T + to_b[:3, 3]
-    before, valid, J_first = pixel_jacobians(first.camera, first.camera_T_ref.a_T_b, in_ref_a)
-    after, still, J_second = pixel_jacobians(second.camera, second.camera_T_ref.a_T_b, in_ref_b)
-    traces = _traces(J_first, joint_covariance_of(a), name) + _traces(J_second, joint_covariance_of(b), name)
-    both = has_point & valid & still
+    before, after = pixel_uncertainty(a, name, in_ref_a), pixel_uncertainty(b, name, in_ref_b)
+    both = has_point & before.valid & after.valid
+    expected_px = np.where(both, np.hypot(before.rms_px, after.rms_px), np.nan)
     shape = len(y_px), len(x_px)
-    change_px = np.where(both[:, None], after - before, np.nan).reshape(*shape, 2)
-    return PixelChange(name, x_px, y_px, change_px, np.where(both, np.sqrt(traces), np.nan).reshape(shape))
-
-
-def _traces(J: FloatArray, joint: JointCovariance, camera: str) -> FloatArray:
-    """(N,) of J Sigma J^T."""
-    sigma = camera_covariance(joint, camera)
-    J = J[:, :, : len(sigma)]
-    return np.asarray(np.einsum("nik,kl,nil->n", J, sigma, J))
-
-
-def _points(camera: Camera, distance_m: float) -> tuple[FloatArray, BoolArray]:
-    """Points (N, 3) in the camera at one distance, one for each cell of a grid over its image, row by row; and whether
-    there is one that has this pixel."""
-    pixels_px = np.stack([axis.ravel() for axis in np.meshgrid(*image_grid(camera, CELLS_ACROSS))], axis=1)
-    bearings, has_bearing = camera.unproject(pixels_px)
-    return distance_m * np.where(has_bearing[:, None], bearings, [0.0, 0.0, 1.0]), has_bearing
+    change_px = np.where(both[:, None], after.pixels_px - before.pixels_px, np.nan).reshape(*shape, 2)
+    return PixelChange(name, x_px, y_px, change_px, expected_px.reshape(shape))
 
 
 def _log(pose: FloatArray) -> FloatArray:
     return np.asarray(gtsam.Pose3.Logmap(gtsam.Pose3(pose)))
-
-
-def _distance2(xi: FloatArray, covariance: FloatArray) -> float:
-    """Squared, in units of the covariance, whatever the units of the components."""
-    scale = 1.0 / np.sqrt(np.diag(covariance))
-    return float((xi * scale) @ np.linalg.solve(covariance * np.outer(scale, scale), xi * scale))
 
 
 def _rms(lengths: FloatArray) -> float:

@@ -32,7 +32,7 @@ def draw_difference(path: Path, found: Difference, cameras: dict[str, Camera]) -
 
 def _row(part: SubFigure, change: PixelChange, camera: Camera, distance_m: float) -> None:
     left, right = part.subfigures(1, 2, squeeze=False)[0]
-    highest = float(np.nanmax([np.nanmax(change.length_px), np.nanmax(change.expected_px)]))
+    highest = float(max(np.nanmax(change.length_px, initial=0.0), np.nanmax(change.expected_px, initial=0.0)))
     part.suptitle(
         f"{change.camera}: pixels of points at {distance_m:g} m moved by {change.rms_px:.3g} px RMS, "
         f"{change.rms_expected_px:.3g} px expected",

@@ -79,10 +79,7 @@ class Earlier:
         """All that a calibration knows; of the board's shape apart from the rest.
 
         Raises GtcalError where it has no covariance."""
-        joint = calibration.covariance
-        if joint is None:
-            raise GtcalError("the earlier calibration has no covariance, as without stage 3: there is nothing to take")
-        cameras = calibration.cameras
+        joint, cameras = _joint_of(calibration), calibration.cameras
         shape = calibration.board_shape
         n, n_shape = len(joint.matrix), 0 if shape is None else len(shape.shape)
         covariance = np.zeros((n + n_shape, n + n_shape))
@@ -178,10 +175,14 @@ def _key(what: str, index: Mapping[str, int]) -> int:
 
 def grown(calibration: Calibration, growth: Growth) -> Calibration:
     """A calibration as sure as it is after some days. Raises GtcalError where it has no covariance."""
-    joint = calibration.covariance
-    if joint is None:
-        raise GtcalError("the earlier calibration has no covariance, as without stage 3: there is nothing to take")
+    joint = _joint_of(calibration)
     return calibration.with_covariance(replace(joint, matrix=joint.matrix + _added(calibration, joint, growth)))
+
+
+def _joint_of(calibration: Calibration) -> JointCovariance:
+    if calibration.covariance is None:
+        raise GtcalError("the earlier calibration has no covariance, as without stage 3: there is nothing to take")
+    return calibration.covariance
 
 
 def _added(calibration: Calibration, joint: JointCovariance, growth: Growth) -> FloatArray:

@@ -15,6 +15,12 @@ def scaled_root(H: FloatArray) -> FloatArray:
     return np.asarray(np.linalg.inv(np.linalg.cholesky(H * np.outer(scale, scale))) * scale)
 
 
+def squared_distance(xi: FloatArray, covariance: FloatArray) -> float:
+    """xi^T covariance^-1 xi, whatever the units of the components (K,)."""
+    scale = 1.0 / np.sqrt(np.diag(covariance))
+    return float((xi * scale) @ np.linalg.solve(covariance * np.outer(scale, scale), xi * scale))
+
+
 def scaled_inverse(H: FloatArray) -> FloatArray:
     """H^-1, as ``scaled_root``."""
     root = scaled_root(H)

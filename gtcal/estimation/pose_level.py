@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 import gtsam
 import numpy as np
 from scipy.spatial.transform import Rotation
+from scipy.special import gammaln
 
 from factors.marginal import MarginalFactor
 from factors.moments import chain
@@ -35,6 +36,9 @@ _TAILS = (2.0, 4.0, 10.0, np.inf)
 _ROUNDS, _SETTLED = 30, 1e-4
 _SHRUNK_BY = 6.0
 """The covariance of the views is drawn to one that is alike in all directions as if by so many views more."""
+
+_RIGID = 1e-3
+"""What rotations that were written with few digits are off by."""
 
 _LEAST_RAD, _LEAST_M = 1e-7, 1e-7
 _LEVER_M = 0.2
@@ -74,9 +78,11 @@ def calibrate_poses(
 ) -> PoseLevel:
     """One camera's extrinsic and the board's place from V >= 3 pairs of poses, (V, 4, 4) each, in order of time.
 
-    Raises GtcalError for fewer pairs, or where they leave a direction open."""
+    Raises GtcalError for fewer pairs, a pose that is none, or where they leave a direction open."""
     if len(ref_T_body) < FEWEST_VIEWS or ref_T_body.shape != camera_T_board.shape:
         raise GtcalError(f"{len(ref_T_body)} and {len(camera_T_board)} poses: 3 or more of each are needed, in pairs")
+    for what, poses in (("ref_T_body", ref_T_body), ("camera_T_board", camera_T_board)):
+        _check_rigid(what, poses)
     start = _start(ref_T_body, camera_T_board, rng or np.random.default_rng(0))
     still = _Absolute(ref_T_body, camera_T_board)
     try:
@@ -88,6 +94,14 @@ def calibrate_poses(
     except np.linalg.LinAlgError:
         raise GtcalError("the poses leave a direction open: turn about two axes or more") from None
     return found
+
+
+def _check_rigid(what: str, poses: FloatArray) -> None:
+    R = poses[:, :3, :3]
+    off = np.abs(R @ np.swapaxes(R, 1, 2) - np.eye(3)).max(axis=(1, 2))
+    wrong = ~(np.isfinite(poses).all(axis=(1, 2)) & (off < _RIGID) & (np.linalg.det(R) > 0.0))
+    if wrong.any():
+        raise GtcalError(f"{what}: pose {int(np.argmax(wrong))} is no rotation and translation, or has NaN in it")
 
 
 def _start(
@@ -226,8 +240,6 @@ def _weights(r: FloatArray, covariance: FloatArray, tail: float) -> FloatArray:
 
 def _minus_log_likelihood(r: FloatArray, covariance: FloatArray, tail: float) -> float:
     """Up to what all tails have in common."""
-    from scipy.special import gammaln
-
     distance2, half = _distance2(r, covariance), 0.5 * np.linalg.slogdet(covariance)[1]
     if np.isinf(tail):
         return float(np.sum(0.5 * distance2 + half))

@@ -17,6 +17,7 @@ from scipy.stats import chi2
 from factors.rigid import inverse
 from gtcal.camera import FloatArray
 from gtcal.errors import GtcalError
+from gtcal.estimation.linear import squared_distance
 from gtcal.results.calibration import Calibration, pose_difference
 from gtcal.results.covariance import JointCovariance
 
@@ -125,8 +126,7 @@ def _xi(first_T: FloatArray, second_T: FloatArray) -> FloatArray:
 def _difference(
     what: str, xi: FloatArray, covariance: FloatArray, first: Calibration, second: Calibration
 ) -> Difference:
-    scale = 1.0 / np.sqrt(np.diag(covariance))
-    distance2 = float((xi * scale) @ np.linalg.solve(covariance * np.outer(scale, scale), xi * scale))
+    distance2 = squared_distance(xi, covariance)
     if what == "board":
         return Difference(what, distance2, 6, *pose_difference(first.body_T_board.a_T_b, second.body_T_board.a_T_b))
     if what in first.cameras:

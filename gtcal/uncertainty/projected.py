@@ -155,11 +155,9 @@ def image_uncertainty(
         raise GtcalError(f"a distance of {distance_m} m: expected a positive number")
     calibrated = _camera(calibration, camera)
     x_px, y_px = image_grid(calibrated.camera, across)
-    pixels_px = np.stack([axis.ravel() for axis in np.meshgrid(x_px, y_px)], axis=1)
-    bearings, has_bearing = calibrated.camera.unproject(pixels_px)
+    ahead_m, has_bearing = points_ahead(calibrated.camera, distance_m, across)
     ref_T_camera = inverse(calibrated.camera_T_ref.a_T_b)
-    ahead = distance_m * np.where(has_bearing[:, None], bearings, [0.0, 0.0, 1.0])
-    points_in_ref_m = ahead @ ref_T_camera[:3, :3].T + ref_T_camera[:3, 3]
+    points_in_ref_m = ahead_m @ ref_T_camera[:3, :3].T + ref_T_camera[:3, 3]
     pixel = pixel_uncertainty(calibration, camera, points_in_ref_m, kind=kind)
     place = place_uncertainty(calibration, camera, points_in_ref_m, kind=kind)
     sigma_px, rms_px, sigma_mm = (
@@ -182,6 +180,14 @@ def volume_uncertainty(
         sigmas_mm.append(np.where(found.seen, found.sigma_mm, np.nan))
     used = joint_covariance_of(calibration, kind).kind
     return VolumeUncertainty(used, tuple(calibration.cameras), points_in_ref_m, np.array(sigmas_mm))
+
+
+def points_ahead(camera: Camera, distance_m: float, across: int) -> tuple[FloatArray, BoolArray]:
+    """Points (N, 3) in the camera at one distance, one for each cell of ``image_grid``, row by row; and whether there
+    is one that has this pixel (N,)."""
+    pixels_px = np.stack([axis.ravel() for axis in np.meshgrid(*image_grid(camera, across))], axis=1)
+    bearings, has_bearing = camera.unproject(pixels_px)
+    return distance_m * np.where(has_bearing[:, None], bearings, [0.0, 0.0, 1.0]), has_bearing
 
 
 def image_grid(camera: Camera, across: int, down: int | None = None) -> tuple[FloatArray, FloatArray]:
