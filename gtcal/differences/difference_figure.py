@@ -8,10 +8,10 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import SubFigure
 
-from gtcal.camera import Camera, FloatArray
+from gtcal.camera import Camera
 from gtcal.differences.difference import Difference, PixelChange
-from gtcal.report.pictures import SEQUENTIAL, styled_figure, write_figure
-from gtcal.report.plots import image_axes
+from gtcal.report.pictures import styled_figure, write_figure
+from gtcal.report.plots import draw_map, image_axes
 
 _WIDTH_IN, _ROW_IN = 8.6, 2.9
 _EVERY = 5
@@ -38,17 +38,12 @@ def _row(part: SubFigure, change: PixelChange, camera: Camera, distance_m: float
         f"{change.rms_expected_px:.3g} px expected",
         fontsize="medium",
     )
-    moved = image_axes(left, camera)
-    _map(left, moved, change, change.length_px, highest, "moved, px")
-    _arrows(moved, change)
-    _map(right, image_axes(right, camera), change, change.expected_px, highest, "expected by both covariances, px")
-
-
-def _map(part: SubFigure, axes: Axes, change: PixelChange, values: FloatArray, highest: float, label: str) -> None:
-    half = 0.5 * (change.x_px[1] - change.x_px[0])
-    extent = (change.x_px[0] - half, change.x_px[-1] + half, change.y_px[-1] + half, change.y_px[0] - half)
-    shown = axes.imshow(values, extent=extent, cmap=SEQUENTIAL, vmin=0.0, vmax=highest, interpolation="none")
-    part.colorbar(shown, ax=axes, label=label, shrink=0.9, aspect=24)
+    parts = (left, change.length_px, "moved, px"), (right, change.expected_px, "expected by both covariances, px")
+    for figure, values, label in parts:
+        axes = image_axes(figure, camera)
+        draw_map(figure, axes, change.x_px, change.y_px, values, label, highest=highest)
+        if figure is left:
+            _arrows(axes, change)
 
 
 def _arrows(axes: Axes, change: PixelChange) -> None:

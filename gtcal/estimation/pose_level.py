@@ -97,7 +97,7 @@ def calibrate_poses(
 
 
 def _check_rigid(what: str, poses: FloatArray) -> None:
-    R = poses[:, :3, :3]
+    R = np.nan_to_num(poses[:, :3, :3])
     off = np.abs(R @ np.swapaxes(R, 1, 2) - np.eye(3)).max(axis=(1, 2))
     wrong = ~(np.isfinite(poses).all(axis=(1, 2)) & (off < _RIGID) & (np.linalg.det(R) > 0.0))
     if wrong.any():

@@ -14,7 +14,7 @@ from matplotlib.ticker import NullFormatter
 from numpy.typing import NDArray
 
 from gtcal.camera import BoolArray, Camera, FloatArray
-from gtcal.report.pictures import BLUE, INK, MUTED, Picture, picture, styled_figure
+from gtcal.report.pictures import BLUE, INK, MUTED, SEQUENTIAL, Picture, picture, styled_figure
 
 LEAST_SPAN_PX = 1e-6
 """Of an axis: data without any error are points on zero."""
@@ -33,6 +33,24 @@ def image_axes(figure: FigureBase, camera: Camera) -> Axes:
     frame = Rectangle((-0.5, -0.5), width_px, height_px, fill=False, edgecolor=MUTED, linewidth=0.8, clip_on=False)
     axes.add_patch(frame)
     return axes
+
+
+def draw_map(
+    figure: FigureBase,
+    axes: Axes,
+    x_px: FloatArray,
+    y_px: FloatArray,
+    values: FloatArray,
+    label: str,
+    *,
+    highest: float | None = None,
+) -> None:
+    """Colour the cells of an image whose middles are x_px (W,) and y_px (H,) by values (H, W), from zero on, and say
+    what the colours mean."""
+    half = 0.5 * (x_px[1] - x_px[0])
+    extent = (x_px[0] - half, x_px[-1] + half, y_px[-1] + half, y_px[0] - half)
+    shown = axes.imshow(values, extent=extent, cmap=SEQUENTIAL, vmin=0.0, vmax=highest, interpolation="none")
+    figure.colorbar(shown, ax=axes, label=label, shrink=0.8, aspect=24)
 
 
 def image_bins(camera: Camera, across: int) -> tuple[FloatArray, FloatArray]:

@@ -7,7 +7,7 @@ import numpy as np
 from factors.rigid import inverse
 from gtcal.camera import FloatArray
 from gtcal.report.pictures import SEQUENTIAL, Picture, picture, styled_figure
-from gtcal.report.plots import image_axes
+from gtcal.report.plots import draw_map, image_axes
 from gtcal.results.calibration import Calibration
 from gtcal.uncertainty.projected import image_uncertainty, volume_uncertainty
 
@@ -20,10 +20,7 @@ def image_picture(calibration: Calibration, camera: str, distance_m: float) -> P
     found = image_uncertainty(calibration, camera, distance_m)
     with styled_figure() as figure:
         axes = image_axes(figure, calibration.cameras[camera].camera)
-        half = 0.5 * (found.x_px[1] - found.x_px[0])
-        extent = (found.x_px[0] - half, found.x_px[-1] + half, found.y_px[-1] + half, found.y_px[0] - half)
-        shown = axes.imshow(found.sigma_px, extent=extent, cmap=SEQUENTIAL, vmin=0.0, interpolation="none")
-        figure.colorbar(shown, ax=axes, label="1-sigma, px", shrink=0.8, aspect=24)
+        draw_map(figure, axes, found.x_px, found.y_px, found.sigma_px, "1-sigma, px")
         sigma_mm = np.ma.masked_invalid(found.sigma_mm)
         if sigma_mm.count() and np.ptp(sigma_mm) > 0.05 * sigma_mm.max():
             lines = axes.contour(found.x_px, found.y_px, sigma_mm, levels=4, colors="white", linewidths=0.8)
