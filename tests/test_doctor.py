@@ -309,7 +309,21 @@ def check(folder: Path, fault: Fault, clean: dict[str, object] | None = None) ->
     return found
 
 
-@pytest.mark.parametrize("name", FAULTS)
+QUICK = (
+    "quaternion order",
+    "inverse poses",
+    "m said to be mm",
+    "board scale",
+    "p order",
+    "us said to be ms",
+    "clock ahead",
+)
+"""One fault of each kind of search; the others are ``long``."""
+
+
+@pytest.mark.parametrize(
+    "name", [name if name in QUICK else pytest.param(name, marks=pytest.mark.long) for name in FAULTS]
+)
 def test_a_fault_is_named_with_the_lines_that_mend_it(name: str, tmp_path: Path) -> None:
     fault = FAULTS[name]
     folder = written(fault.change(recorded(fault.kind)), tmp_path / "r", fault.lines)
@@ -321,6 +335,7 @@ def clean_fields(fault: Fault, folder: Path) -> dict[str, object] | None:
     return fields_of(written(recorded(fault.kind), folder / "clean")) if fault.change is same else None
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("kind", "said", "was", "body"),
     [
@@ -345,6 +360,7 @@ def test_a_clean_recording_is_healthy(kind: str, seed: int, tmp_path: Path) -> N
     assert found.misfit_mm < 5.0
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("kind", "changes"),
     [
@@ -359,6 +375,7 @@ def test_other_boards_and_noise_are_healthy_too(kind: str, changes: dict[str, ob
     assert diagnose(written(recording, tmp_path / "r")).findings == ()
 
 
+@pytest.mark.long
 def test_without_intrinsics_too_the_board_is_judged(tmp_path: Path) -> None:
     recording = recorded(STANDING)
     bare = replace(recording, cameras={name: replace(c, parameters=None) for name, c in recording.cameras.items()})
@@ -378,6 +395,7 @@ def test_a_camera_with_too_few_views_for_its_lens_is_left_out(tmp_path: Path) ->
     assert any("left out: camera 'cam1'" in note for note in found.notes)
 
 
+@pytest.mark.long
 def test_two_faults_that_only_show_together(tmp_path: Path) -> None:
     wrong = poses(recorded(FIXED), ("board_body",), inverse)
     folder = written(wrong, tmp_path / "r", ["board_body.quaternion: xyzw"])
@@ -388,6 +406,7 @@ def test_two_faults_that_only_show_together(tmp_path: Path) -> None:
     assert diagnose(folder).healthy
 
 
+@pytest.mark.long
 def test_faults_of_lens_and_trajectory_and_clock_are_all_named(tmp_path: Path) -> None:
     wrong = theta(recorded(FIXED), reordered(0, 1, 4, 2, 3))
     wrong = stamps(wrong, lambda ns: ns + 120_000_000, bodies=False)
@@ -397,6 +416,7 @@ def test_faults_of_lens_and_trajectory_and_clock_are_all_named(tmp_path: Path) -
     assert "board_body.quaternion: wxyz" in found.lines
 
 
+@pytest.mark.long
 def test_what_can_not_be_told_apart_is_listed(tmp_path: Path) -> None:
     found = diagnose(written(recorded(STANDING), tmp_path / "r", ["board.tag_side_m: 0.0582"]))
     (finding,) = found.findings
@@ -424,6 +444,7 @@ def test_a_header_that_is_wrong_is_to_be_corrected_where_it_stands(tmp_path: Pat
     assert "platform.quaternion: wxyz" in finding.advice[0]
 
 
+@pytest.mark.long
 def test_other_recordings_are_told_to_be_so(tmp_path: Path) -> None:
     """A trajectory of another recording: no reading helps, and nothing is made up."""
     recording = recorded(STANDING)
@@ -516,6 +537,7 @@ VICON_FAULTS = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", VICON_FAULTS)
 def test_a_fault_of_the_real_recording_is_named(name: str, vicon: Recording, tmp_path: Path) -> None:
     """Mostly without the board's trajectory: it stands, and one body has fewer readings to try."""

@@ -25,6 +25,7 @@ REACH_S = 0.5
 _STEP_S = 0.005
 _MOST_VIEWS = 300
 _FEWEST_PAIRS = 8
+_POSES_AT_ONCE = 20_000
 _CAP = 4.0  # of the typical misfit at its best: more is an outlier
 
 
@@ -59,7 +60,12 @@ def offset_of_turns_s(
     if np.median(angle_rad) < np.deg2rad(0.1):
         raise GtcalError("the board hardly turned between images, so its turns do not tell the clock offset")
     shifts_s = np.arange(about_s - reach_s, about_s + reach_s + step_s, step_s)
-    misfits = [_misfit(motion, first_ns, second_ns, angle_rad, shift_s) for shift_s in shifts_s]
+    at_once = max(1, _POSES_AT_ONCE // len(angle_rad))
+    misfits = [
+        misfit
+        for some in np.array_split(shifts_s, -(-len(shifts_s) // at_once))
+        for misfit in _misfits(motion, first_ns, second_ns, angle_rad, some)
+    ]
     fewest = max(_FEWEST_PAIRS, share * len(angle_rad))
     medians = np.array([np.median(misfit) if len(misfit) >= fewest else np.inf for misfit in misfits])
     if not np.isfinite(medians).any():
@@ -88,15 +94,17 @@ def turns_between(view_stamps_ns: IntArray, camera_T_board: FloatArray) -> Turns
     return stamps_ns[:-1], stamps_ns[1:], angle_rad
 
 
-def _misfit(
-    motion: RefMotion, first_ns: IntArray, second_ns: IntArray, angle_rad: FloatArray, shift_s: float
-) -> FloatArray:
-    """Differences of the angles at this shift, of the pairs that the mocap has."""
-    shift_ns = round(1e9 * shift_s)
-    first, second = (motion.at(stamps_ns + shift_ns) for stamps_ns in (first_ns, second_ns))
+def _misfits(
+    motion: RefMotion, first_ns: IntArray, second_ns: IntArray, angle_rad: FloatArray, shifts_s: FloatArray
+) -> list[FloatArray]:
+    """At each of these shifts the differences of the angles, of the pairs that the mocap has."""
+    shifts_ns = np.array([round(1e9 * shift_s) for shift_s in shifts_s], dtype=np.int64)[:, None]
+    first, second = (motion.at((stamps_ns + shifts_ns).ravel()) for stamps_ns in (first_ns, second_ns))
     known = first.ok & second.ok
     turned = inverse(first.ref_T_body[known]) @ second.ref_T_body[known]
-    return np.abs(Rotation.from_matrix(turned[:, :3, :3]).magnitude() - angle_rad[known])
+    expected_rad = np.tile(angle_rad, len(shifts_s))[known]
+    misfit_rad = np.abs(Rotation.from_matrix(turned[:, :3, :3]).magnitude() - expected_rad)
+    return np.split(misfit_rad, np.cumsum(known.reshape(len(shifts_s), -1).sum(axis=1))[:-1])
 
 
 def _parabola(costs: FloatArray) -> float:

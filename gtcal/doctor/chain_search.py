@@ -34,6 +34,10 @@ HOPELESS_RAD = 0.01
 FEWEST_VIEWS = 8
 """With fewer, a chain fits about anything."""
 
+_HOPELESS = 4.0
+"""A reading that starts out so many times further off than the stated one will not end at a quarter of it: what is left
+to do is to leave views out, and that of a minority."""
+
 LEAST_SHIFT_S, LEAST_SCALE = 2e-3, 2e-3
 """Less than this is no fault: two milliseconds, two parts in a thousand of a board."""
 
@@ -66,9 +70,13 @@ class ChainSearch:
     guides: Mapping[str, GuideViews]
     seed: int = 0
 
-    def fit(self, motion: RefMotion, *, shift_s: float = 0.0, board_scale: float = 1.0) -> ChainFit:
+    def fit(
+        self, motion: RefMotion, *, shift_s: float = 0.0, board_scale: float = 1.0, hopeless_rad: float = np.inf
+    ) -> ChainFit:
         """The chain under this motion."""
-        return fit_chain(self.guides, motion, shift_s=shift_s, board_scale=board_scale, seed=self.seed)
+        return fit_chain(
+            self.guides, motion, shift_s=shift_s, board_scale=board_scale, seed=self.seed, hopeless_rad=hopeless_rad
+        )
 
     def explain(self, motion: RefMotion, stated: ChainFit) -> Explained | None:
         """The change that makes mocap and images agree; None where none is convincing."""
@@ -96,7 +104,10 @@ class ChainSearch:
         turns_rad = [turn_misfit_rad(self.guides, reading.reread(motion)) for reading in readings]
         most_rad = _TURN_FACTOR * min(turns_rad, default=0.0) + _TURN_FLOOR_RAD
         hopeful = [reading for reading, turn_rad in zip(readings, turns_rad, strict=True) if turn_rad <= most_rad]
-        found = [Explained(self.fit(reading.reread(motion)), (reading,)) for reading in hopeful]
+        hopeless_rad = _HOPELESS * stated.angle_rad
+        found = [
+            Explained(self.fit(reading.reread(motion), hopeless_rad=hopeless_rad), (reading,)) for reading in hopeful
+        ]
         return [change for change in found if _keeps_views(change.fit, stated)]
 
     def _numbers(self, motion: RefMotion, stated: ChainFit) -> list[Explained]:

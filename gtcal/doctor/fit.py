@@ -121,15 +121,18 @@ def fit_chain(
     shift_s: float = 0.0,
     board_scale: float = 1.0,
     seed: int = 0,
+    hopeless_rad: float = np.inf,
 ) -> ChainFit:
     """Stage 1 over these views. shift_s: what the cameras' stamps are put later by. board_scale: what the board is made
-    larger by. A camera with fewer than three mocap poses is left out; without a camera the angle is infinite."""
+    larger by. hopeless_rad: a chain that starts out with a larger angle is not brought to its end. A camera with fewer
+    than three mocap poses is left out; without a camera the angle is infinite."""
     asked = sum(guide.views.n_views for guide in guides.values())
     posed = {name: _posed(guide, motion, shift_s, board_scale) for name, guide in guides.items()}
     posed = {name: guide for name, guide in posed.items() if guide.views.n_views >= MIN_VIEWS}
     if not posed:
         return replace(NO_CHAIN, n_asked=asked)
-    aligned = stage_1(posed, np.random.default_rng(seed), n_starts=_STARTS, seek_consensus=False)
+    rng = np.random.default_rng(seed)
+    aligned = stage_1(posed, rng, n_starts=_STARTS, seek_consensus=False, hopeless_share=hopeless_rad)
     # stage 1 stops short of its optimum by an amount that depends on the start: too rough to compare readings by
     estimate, _ = stage_2(aligned.views, aligned.estimate, eps=_EPS_M2, max_iterations=_POLISHING_STEPS)
     by_camera_m = {

@@ -103,12 +103,15 @@ def stage_1(
     n_starts: int = N_STARTS,
     method: SweepMode = "converged",
     seek_consensus: bool = True,
+    hopeless_share: float = np.inf,
 ) -> Aligned:
     """Procrustes sweep over all cameras, robust to gross views while they are a minority.
 
-    seek_consensus: where no chain comes close to most views; who tries wrong readings of a recording does without."""
+    seek_consensus: where no chain comes close to most views; who tries wrong readings of a recording does without.
+    hopeless_share: and has no use for a chain whose first pass ends with its median corner off by more than this share
+    of its distance; it is left at that."""
     agreeing = {name: _agreeing_views(guide) for name, guide in guides.items()}
-    aligned = _passes(guides, agreeing, rng, n_starts, method)
+    aligned = _passes(guides, agreeing, rng, n_starts, method, hopeless_share)
     if method == "paper" or not seek_consensus or _share_of_distance(guides, aligned.estimate) < _CLOSE:
         return aligned
     found = consensus({name: guide.poses for name, guide in guides.items()}, rng)
@@ -125,12 +128,15 @@ def _passes(
     rng: np.random.Generator,
     n_starts: int,
     method: SweepMode,
+    hopeless_share: float = np.inf,
 ) -> Aligned:
     """The sweep on the views ``chosen``, then on those that fit what it found."""
     for _ in range(_PASSES):
         result = _swept(chosen, rng, n_starts, method)
         estimate = _estimate(guides, result)
         chosen = fitting_views(guides, estimate)
+        if _share_of_distance(guides, estimate) > hopeless_share:
+            break
     n_outlying = sum(len(guides[name].corner_moments) - len(v.corner_moments) for name, v in chosen.items())
     return Aligned(estimate, chosen, result, n_outlying)
 
