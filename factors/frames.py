@@ -84,6 +84,38 @@ def _frame_triangle(
     return triangular_factor(total)
 
 
+@kernel
+def add_views(
+    by_view: FloatArray,
+    row: IntArray,
+    ref_T_body: FloatArray,
+    body_T_board: FloatArray,
+    first_pose_column: int,
+    first_theta_column: int,
+    n_shape: int,
+    total: FloatArray,
+) -> None:
+    """Add the moments (V, d, d) of a camera's views to those of their frames, both triangles."""
+    n_theta, last = by_view.shape[1] - 7 - n_shape, total.shape[1] - 1
+    column = np.empty(19 + n_theta + n_shape, dtype=np.int64)
+    for j in range(6):
+        column[j], column[6 + j], column[12 + j] = first_pose_column + j, j, 6 + j
+    for j in range(n_theta):
+        column[18 + j] = first_theta_column + j
+    for j in range(n_shape + 1):
+        column[18 + n_theta + j] = last - n_shape + j
+    local = np.empty((len(column), len(column)))
+    for v in range(len(by_view)):
+        local[:] = 0.0
+        transport_view(by_view[v], ref_T_body[v], body_T_board, True, local)
+        into = total[row[v]]
+        for a in range(len(local)):
+            into[column[a], column[a]] += local[a, a]
+            for b in range(a + 1, len(local)):
+                into[column[a], column[b]] += local[a, b]
+                into[column[b], column[a]] += local[a, b]
+
+
 @dataclass
 class _Sums:
     """The moments of all views, and the loss of each frame, at one set of values."""

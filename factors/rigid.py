@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import gtsam
 import numpy as np
 import numpy.typing as npt
@@ -9,6 +11,8 @@ import numpy.typing as npt
 from factors.kernel import kernel
 
 FloatArray = npt.NDArray[np.float64]
+
+_NOTHING = 1e-18
 
 
 @kernel
@@ -64,3 +68,29 @@ def adjoint(a_T_b: FloatArray) -> FloatArray:
     found[:, :3, :3] = found[:, 3:, 3:] = R
     found[:, 3:, :3] = skew(a_T_b[:, :3, 3]) @ R
     return found
+
+
+def exponential(xi: FloatArray) -> FloatArray:
+    """Exp(xi), (N, 4, 4) of twists (N, 6), by its series."""
+    hat = np.zeros((len(xi), 4, 4))
+    hat[:, :3, :3], hat[:, :3, 3] = skew(xi[:, :3]), xi[:, 3:]
+    return _series(hat, lambda k: 1.0 / k)
+
+
+def right_jacobian(xi: FloatArray) -> FloatArray:
+    """J_r(xi), (N, 6, 6) of twists (N, 6): Exp(xi + d) = Exp(xi) Exp(J_r(xi) d) to first order (Chirikjian 2012)."""
+    ad = np.zeros((len(xi), 6, 6))
+    ad[:, :3, :3] = ad[:, 3:, 3:] = skew(xi[:, :3])
+    ad[:, 3:, :3] = skew(xi[:, 3:])
+    return _series(ad, lambda k: -1.0 / (k + 1.0))
+
+
+def _series(A: FloatArray, factor: Callable[[int], float]) -> FloatArray:
+    """I + f(1) A + f(1) f(2) A^2 + ... of matrices (N, n, n), until nothing is added."""
+    total = np.tile(np.eye(A.shape[1]), (len(A), 1, 1))
+    term, k = total, 0
+    while np.abs(term).max(initial=0.0) > _NOTHING:
+        k += 1
+        term = factor(k) * term @ A
+        total = total + term
+    return total

@@ -16,8 +16,10 @@ from dataclasses import dataclass, replace
 import gtsam
 import numpy as np
 
+from factors import RobustKernel
 from factors.board_shape import N_SHAPE
 from factors.frames import CameraFrames, FramesReprojection
+from factors.marginal_frames import MarginalFramesFactor
 from factors.mocap_noise import CorrelatedNoiseFactor
 from gtcal.camera import BoolArray, FloatArray
 from gtcal.estimation.adjustment import Adjusted, add_user_priors, intrinsics_priors, shape_sigmas
@@ -27,19 +29,20 @@ from gtcal.estimation.graph import (
     BOARD_SHAPE,
     BODY_T_BOARD,
     camera_T_ref_key,
+    minimise,
     shape_prior,
     theta_key,
     to_values,
     updated,
 )
 from gtcal.estimation.hold_out import HoldOut, hold_out
-from gtcal.estimation.many_frames import minimise_many_frames
 from gtcal.estimation.mocap_noise import (
     MocapNoiseModel,
     Whiteness,
     estimate_noise,
     gross_frames,
     innovations,
+    lower_factors,
     spread_blocks,
 )
 from gtcal.estimation.observations import Dropped, Views
@@ -187,7 +190,6 @@ def _without(adjusted: Adjusted, gross: Mapping[str, BoolArray]) -> tuple[Adjust
 
 
 _MOST_GROSS = 0.5  # of a camera's views: half of them stay, as in ``screen``
-_LEAST_GAIN = 0.05  # a step of a third of a sigma
 GROSS = "mocap pose off by more than its noise explains"
 
 
@@ -202,16 +204,13 @@ def adjust_with_mocap_noise(
     options: CalibrationOptions,
 ) -> Adjusted:
     """Go on from stage 3 with every A_t free, on the views and corners that it used."""
-    graph, values = _problem(adjusted, fit, motion, options)
-    found = minimise_many_frames(
-        graph,
-        values,
-        shared_keys(adjusted.screened.views, options),
-        eps=options.eps,
-        max_iterations=options.max_iterations,
-        least_gain=_LEAST_GAIN,
-    )
-    estimate = updated(adjusted.estimate, found.values)
+    estimate = adjusted.estimate
+    graph = gtsam.NonlinearFactorGraph()
+    graph.add(marginal_factor(adjusted, fit, motion, options))
+    graph.push_back(priors_graph(adjusted.screened.views, options))
+    values = to_values(estimate, with_theta=options.refine_intrinsics, with_shape=options.solves_board_shape)
+    found = minimise(graph, values, eps=options.eps, max_iterations=options.max_iterations)
+    estimate = updated(estimate, found.values)
     return Adjusted(estimate, fit.sigma_px, adjusted.screened.under(estimate), graph, found.values, found.errors)
 
 
@@ -231,42 +230,75 @@ def whiteness(freed: Adjusted, fit: MocapNoiseFit, motion: RefMotion, options: C
     return Whiteness.of(innovations(moments, fit.noise, motion))
 
 
-def _problem(
+@dataclass(frozen=True)
+class _Frames:
+    """What stage 4 sums: the frames that any camera saw. measured: (F, 4, 4) the mocap's poses."""
+
+    index: IntArray
+    stamps_ns: IntArray
+    measured: FloatArray
+    cameras: list[CameraFrames]
+    shape: int | FloatArray
+    robust: RobustKernel
+
+    @staticmethod
+    def of(views: Mapping[str, Views], estimate: Estimate, fit: MocapNoiseFit, options: CalibrationOptions) -> _Frames:
+        index, first = np.unique(np.concatenate([v.frame_index for v in views.values()]), return_index=True)
+        cameras = [
+            CameraFrames(
+                corner_views(of_camera, fit.sigma_px),
+                np.searchsorted(index, of_camera.frame_index),
+                of_camera.camera.model,
+                camera_T_ref_key(c),
+                theta_key(c) if options.refine_intrinsics else estimate.theta[name],
+            )
+            for c, (name, of_camera) in enumerate(views.items())
+        ]
+        return _Frames(
+            index,
+            np.concatenate([v.stamps_ns for v in views.values()])[first],
+            np.concatenate([v.ref_T_body for v in views.values()])[first],
+            cameras,
+            BOARD_SHAPE if options.solves_board_shape else estimate.board_shape,
+            options.robust,
+        )
+
+
+def marginal_factor(
+    adjusted: Adjusted, fit: MocapNoiseFit, motion: RefMotion, options: CalibrationOptions
+) -> MarginalFramesFactor:
+    """The corners of all frames under the noise, the A_t eliminated inside; it tells them too."""
+    frames = _Frames.of(adjusted.screened.views, adjusted.estimate, fit, options)
+    return MarginalFramesFactor(
+        frames.cameras,
+        measured_ref_T_body=frames.measured,
+        noise=lower_factors(fit.noise.covariance(motion, frames.stamps_ns)),
+        correlation=fit.noise.correlations(frames.stamps_ns),
+        body_T_board=BODY_T_BOARD,
+        shape=frames.shape,
+        robust=frames.robust,
+    )
+
+
+def graph_of_frames(
     adjusted: Adjusted, fit: MocapNoiseFit, motion: RefMotion, options: CalibrationOptions
 ) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
-    """A factor and a prior per frame; the values of stage 3, every A_t as the mocap has it."""
-    views, estimate = adjusted.screened.views, adjusted.estimate
-    frames = frames_of(views)
-    first = {int(frame): (name, row) for name, v in views.items() for row, frame in enumerate(v.frame_index)}
-    where = [first[int(frame)] for frame in frames]
-    stamps_ns = np.array([views[name].stamps_ns[row] for name, row in where])
-    measured = np.stack([views[name].ref_T_body[row] for name, row in where])
-    keys = [ref_T_body_key(int(frame)) for frame in frames]
-    values = to_values(estimate, with_theta=options.refine_intrinsics, with_shape=options.solves_board_shape)
-    for key, pose in zip(keys, measured, strict=True):
+    """What ``marginal_factor`` and the other priors stand for, with a variable, a factor and a prior per frame: the
+    reference, and for research on single frames. The values are those of ``adjusted``, A_t as the mocap has it."""
+    frames = _Frames.of(adjusted.screened.views, adjusted.estimate, fit, options)
+    keys = [ref_T_body_key(int(frame)) for frame in frames.index]
+    values = to_values(adjusted.estimate, with_theta=options.refine_intrinsics, with_shape=options.solves_board_shape)
+    for key, pose in zip(keys, frames.measured, strict=True):
         values.insert(key, gtsam.Pose3(pose))
     graph = gtsam.NonlinearFactorGraph()
-    cameras = [
-        CameraFrames(
-            corner_views(of_camera, fit.sigma_px),
-            np.searchsorted(frames, of_camera.frame_index),
-            of_camera.camera.model,
-            camera_T_ref_key(index),
-            theta_key(index) if options.refine_intrinsics else estimate.theta[name],
-        )
-        for index, (name, of_camera) in enumerate(views.items())
-    ]
     reprojection = FramesReprojection(
-        cameras,
-        ref_T_body=keys,
-        body_T_board=BODY_T_BOARD,
-        shape=BOARD_SHAPE if options.solves_board_shape else estimate.board_shape,
-        robust=options.robust,
+        frames.cameras, ref_T_body=keys, body_T_board=BODY_T_BOARD, shape=frames.shape, robust=frames.robust
     )
     for factor in reprojection.factors:
         graph.add(factor)
-    _add_mocap(graph, keys, measured, fit.noise.covariance(motion, stamps_ns), fit.noise.correlations(stamps_ns))
-    graph.push_back(priors_graph(views, options))
+    covariance, rho = fit.noise.covariance(motion, frames.stamps_ns), fit.noise.correlations(frames.stamps_ns)
+    _add_mocap(graph, keys, frames.measured, covariance, rho)
+    graph.push_back(priors_graph(adjusted.screened.views, options))
     return graph, values
 
 

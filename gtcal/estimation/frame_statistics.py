@@ -4,9 +4,7 @@ To first order in the unknowns, all that the corners of frame f say is in its mo
 A_f, of X, of every Y_c and theta_c, and of the board's shape. Stage 4's noise model, its hold-out error and the
 frame-clustered covariance are computed from them; GTSAM's estimates are not.
 
-The mocap's noise of frame f is xi_f = L_f z_f with z_f of unit covariance, and correlated from frame to frame as a
-first-order process: z_{f+1} = rho_f z_f + sqrt(1 - rho_f^2) w. Eliminating the z_f in order of time (an information
-filter) leaves the sums of the other unknowns, and the determinant that a likelihood needs.
+The mocap's noise is integrated out of them by ``factors.noise_chain``.
 """
 
 from __future__ import annotations
@@ -19,8 +17,9 @@ import numpy as np
 
 from factors import GAUSSIAN, RobustKernel
 from factors.board_shape import N_SHAPE
-from factors.kernel import kernel
-from factors.moments import chain, transport_view
+from factors.frames import add_views
+from factors.moments import chain
+from factors.noise_chain import NoiseChain
 from factors.reprojection import view_moments
 from gtcal.camera import FloatArray
 from gtcal.estimation.estimate import Estimate
@@ -92,38 +91,6 @@ class FrameMoments:
         )
 
 
-@kernel
-def _add_views(
-    by_view: FloatArray,
-    row: IntArray,
-    ref_T_body: FloatArray,
-    body_T_board: FloatArray,
-    first_pose_column: int,
-    first_theta_column: int,
-    n_shape: int,
-    total: FloatArray,
-) -> None:
-    """Add the moments (V, d, d) of a camera's views to those of their frames, both triangles."""
-    n_theta, last = by_view.shape[1] - 7 - n_shape, total.shape[1] - 1
-    column = np.empty(19 + n_theta + n_shape, dtype=np.int64)
-    for j in range(6):
-        column[j], column[6 + j], column[12 + j] = first_pose_column + j, j, 6 + j
-    for j in range(n_theta):
-        column[18 + j] = first_theta_column + j
-    for j in range(n_shape + 1):
-        column[18 + n_theta + j] = last - n_shape + j
-    local = np.empty((len(column), len(column)))
-    for v in range(len(by_view)):
-        local[:] = 0.0
-        transport_view(by_view[v], ref_T_body[v], body_T_board, True, local)
-        into = total[row[v]]
-        for a in range(len(local)):
-            into[column[a], column[a]] += local[a, a]
-            for b in range(a + 1, len(local)):
-                into[column[a], column[b]] += local[a, b]
-                into[column[b], column[a]] += local[a, b]
-
-
 def frame_moments(
     views: Mapping[str, Views],
     estimate: Estimate,
@@ -161,7 +128,7 @@ def frame_moments(
         )
         row = np.searchsorted(index, of_camera.frame_index)
         theta_column = 12 + 6 * len(sizes) + sum(sizes[:c])
-        _add_views(found.moments, row, *poses[1:], 12 + 6 * c, theta_column, n_shape, total)
+        add_views(found.moments, row, *poses[1:], 12 + 6 * c, theta_column, n_shape, total)
         square += float(_within_views(found.moments).sum())
         dof += 2 * of_camera.n_corners - 6 * of_camera.n_views
     return FrameMoments(index, stamps, total, sigma_px, square, dof)
@@ -226,57 +193,6 @@ def regular(information: FloatArray) -> FloatArray:
     return information * (1.0 + _OPEN * np.eye(6)) + blank[:, None, :] * np.eye(6)
 
 
-@kernel
-def _factorise(A: FloatArray) -> float:
-    """Replace the upper triangle of A = R^T R by R; returns log det A."""
-    log_determinant = 0.0
-    for i in range(len(A)):
-        for j in range(i, len(A)):
-            value = A[i, j]
-            for k in range(i):
-                value -= A[k, i] * A[k, j]
-            A[i, j] = math.sqrt(value) if i == j else value / A[i, i]
-        log_determinant += 2.0 * math.log(A[i, i])
-    return log_determinant
-
-
-@kernel
-def _solve_transposed(R: FloatArray, B: FloatArray) -> None:
-    """B = R^-T B."""
-    for i in range(len(R)):
-        for k in range(i):
-            for j in range(B.shape[1]):
-                B[i, j] -= R[k, i] * B[k, j]
-        for j in range(B.shape[1]):
-            B[i, j] /= R[i, i]
-
-
-@kernel
-def _solve(R: FloatArray, B: FloatArray) -> None:
-    """B = R^-1 B."""
-    for i in range(len(R) - 1, -1, -1):
-        for k in range(i + 1, len(R)):
-            for j in range(B.shape[1]):
-                B[i, j] -= R[i, k] * B[k, j]
-        for j in range(B.shape[1]):
-            B[i, j] /= R[i, i]
-
-
-@kernel
-def _to_noise(M: FloatArray, L: FloatArray, A: FloatArray, B: FloatArray) -> None:
-    """Add a frame's moments in z, where its noise is xi = L z: L^T M_xx L to A, L^T M_x,rest to B."""
-    for i in range(6):
-        for j in range(6):
-            value = 0.0
-            for k in range(i, 6):
-                for m in range(j, 6):
-                    value += L[k, i] * M[k, m] * L[m, j]
-            A[i, j] += value
-        for k in range(i, 6):
-            for j in range(B.shape[1]):
-                B[i, j] += L[k, i] * M[k, 6 + j]
-
-
 def eliminate_noise(moments: FloatArray, L: FloatArray, rho: FloatArray, total: FloatArray) -> float:
     """Integrate the mocap's noise out of the frames' moments (n, D, D), in order of time.
 
@@ -290,38 +206,7 @@ def eliminate_noise(moments: FloatArray, L: FloatArray, rho: FloatArray, total: 
 
 def subtract_noise(moments: FloatArray, L: FloatArray, rho: FloatArray, total: FloatArray) -> float:
     """``eliminate_noise`` where total holds the frames' own sums already; both its triangles are right after."""
-    known = np.empty((len(moments), 6, moments.shape[1] - 6))
-    log_determinant: float = _known_of_noise(moments, L, rho, known)
-    known = known.reshape(-1, known.shape[2])
-    total -= known.T @ known
-    return log_determinant
-
-
-@kernel
-def _known_of_noise(moments: FloatArray, L: FloatArray, rho: FloatArray, known: FloatArray) -> float:
-    """Fill known (n, 6, D - 6) with R^-T B of each frame, where [R^T R, B] are the moments of its noise in z, and of
-    what the chain before it says of it, with the rest: their squares are what integrating it out takes away. Returns
-    the log determinant."""
-    A, inverse, unit = np.empty((6, 6)), np.empty((6, 6)), np.eye(6)
-    prior, carried = np.eye(6), np.zeros(known.shape[1:])
-    log_determinant = 0.0
-    for f in range(len(moments)):
-        innovation = 1.0 - rho[f] * rho[f]
-        forward = rho[f] / innovation
-        B = known[f]
-        A[:], B[:] = prior, carried
-        _to_noise(moments[f], L[f], A, B)
-        for i in range(6):
-            A[i, i] += rho[f] * forward
-        log_determinant += _factorise(A) + 6.0 * math.log(innovation)
-        _solve_transposed(A, B)
-        prior[:], carried[:] = unit, 0.0
-        if forward > 0.0:
-            carried[:] = B
-            _solve(A, carried)
-            carried *= forward
-            inverse[:] = unit
-            _solve_transposed(A, inverse)
-            _solve(A, inverse)
-            prior[:] = unit / innovation - forward * forward * inverse
+    chain = NoiseChain.starting(len(moments), moments.shape[1] - 6)
+    log_determinant = chain.eliminate(moments, L, rho)
+    total -= chain.known_square
     return log_determinant

@@ -7,10 +7,8 @@ from dataclasses import replace
 
 import gtsam
 
-from factors.board_shape import N_SHAPE
 from gtcal.errors import GtcalError
-from gtcal.estimation.graph import BOARD_SHAPE, BODY_T_BOARD, camera_T_ref_key, theta_key, updated
-from gtcal.estimation.many_frames import minimise_many_frames
+from gtcal.estimation.graph import BODY_T_BOARD, camera_T_ref_key, minimise, theta_key, updated
 from gtcal.estimation.marginals import covariance_of, joint_information
 from gtcal.estimation.residuals import chain_residuals_px, norms
 from gtcal.results.calibration import Calibration, PoseEstimate, ResidualStatistics
@@ -52,11 +50,9 @@ def solve_again(
         name: solution.estimate.theta[name].size if solution.values.exists(theta_key(i)) else 0
         for i, name in enumerate(names)
     }
-    shared = {BODY_T_BOARD: 6} | {camera_T_ref_key(i): 6 for i in range(len(names))}
-    shared |= {theta_key(i): sizes[name] for i, name in enumerate(names) if sizes[name]}
-    unknowns = list(shared)
-    shared |= {BOARD_SHAPE: N_SHAPE} if solution.values.exists(BOARD_SHAPE) else {}
-    found = minimise_many_frames(graph, solution.values, shared, eps=eps, max_iterations=100, least_gain=1e-3)
+    unknowns = [BODY_T_BOARD, *map(camera_T_ref_key, range(len(names)))]
+    unknowns += [theta_key(i) for i, name in enumerate(names) if sizes[name]]
+    found = minimise(graph, solution.values, eps=eps, max_iterations=100)
     estimate = updated(solution.estimate, found.values)
     matrix = covariance_of(joint_information(graph, found.values, unknowns))
     if matrix is None:
