@@ -131,6 +131,7 @@ def _lollypop():
     return simulate_lollypop(options, seed=1)
 
 
+@pytest.mark.long
 def test_the_joint_solution_is_the_best_by_the_lollypop(lollypop) -> None:
     simulation = simulated(HEADSET, mocap=MocapNoise(0.1, 0.01))
     X = simulation.truth.body_T_board @ gtsam.Pose3.Expmap([0.01, 0, 0, 0.003, 0, 0.002]).matrix()

@@ -48,6 +48,7 @@ def found(what: str, board: str = "auto") -> tuple[Calibration, float]:
     return calibration, float(np.mean(errors_mm))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("what", "part", "value"), [("bowed", 2, BOW_MM), ("larger", 0, SCALE_PERCENT), ("flat", 3, 0)]
 )

@@ -167,6 +167,7 @@ def test_the_result_keeps_the_command_line_and_the_inputs(folder: Path, tmp_path
     assert all(len(entry.sha256) == 64 for entry in provenance.inputs)
 
 
+@pytest.mark.long
 def test_intrinsics_are_found_where_they_are_asked_for(tmp_path: Path) -> None:
     simulation = simulated(HEADSET, intrinsics="none")
     write_simulation(simulation, tmp_path / "recording", images=False)

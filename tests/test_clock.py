@@ -50,6 +50,7 @@ def test_rotations_alone_tell_the_offset_to_a_few_ms(ahead_s: float) -> None:
     assert coarse_offset_s(synchronise(late(ahead_s).recording)) == pytest.approx(-ahead_s, abs=3e-3)
 
 
+@pytest.mark.long
 def test_the_offset_is_found_with_a_true_sigma_and_the_extrinsics_are_as_good_as_with_the_true_clock() -> None:
     normalised, off_mm, true_mm = [], [], []
     for seed in range(4):
@@ -75,6 +76,7 @@ def test_the_offset_is_found_with_a_true_sigma_and_the_extrinsics_are_as_good_as
     assert np.mean(off_mm) < 1.3 * np.mean(true_mm)
 
 
+@pytest.mark.long
 def test_every_camera_may_have_a_clock_of_its_own() -> None:
     ahead_s = (0.03, -0.02, 0.08, 0.0)
     simulation = late(ahead_s)
@@ -99,6 +101,7 @@ def test_a_drifting_clock_is_straightened() -> None:
     assert "growing by -" in clock.statement
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", range(3))
 def test_a_recording_that_is_not_synchronised_is_said_not_to_be(seed: int) -> None:
     found = calibrate(late(0.0083, seed).recording, options())
@@ -182,6 +185,7 @@ def rolling(readout_s: float | None, stamped_row: str = "first", **changes: obje
 READOUT_S = 0.02
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("stamped_row", ["first", "middle"])
 def test_a_stated_rolling_shutter_is_straightened(stamped_row: str) -> None:
     simulation = rolling(READOUT_S, stamped_row)
@@ -197,6 +201,7 @@ def test_a_stated_rolling_shutter_is_straightened(stamped_row: str) -> None:
     assert not [w for w in found.warnings if "the data want" in w]
 
 
+@pytest.mark.long
 def test_the_readout_time_is_found_with_the_clock_offset() -> None:
     simulation = rolling(None, clock_offset_s=0.05)
     found = calibrate(simulation.recording, options(clock="estimate"))

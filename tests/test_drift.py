@@ -42,6 +42,7 @@ def trend_of(found: Drift, camera: str):  # type: ignore[no-untyped-def]
     return next(trend for trend in found.trends if (trend.camera, trend.unit) == (camera, "px"))
 
 
+@pytest.mark.long
 def test_the_rig_keeps_its_bodies_from_recording_to_recording() -> None:
     """The calibration that is true for the first recording is the one that each says was true before its fault."""
     for kind in ("camera", "markers", "lens"):

@@ -96,6 +96,7 @@ def test_a_clean_recording_wants_nothing() -> None:
     assert not effect_warnings(clean().effects)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("body", "mm", "deg", "at_s"),
     [("board_body", 5.0, 0.5, 30.0), ("board_body", 5.0, 0.5, 48.0), ("platform", 2.0, 0.3, 30.0)],
@@ -127,6 +128,7 @@ def test_a_camera_that_is_bumped_is_named(px: float) -> None:
     assert [w for w in found.warnings if "'side_left' moved at" in w and "--segments auto" in w]
 
 
+@pytest.mark.long
 def test_two_changes_are_told_apart() -> None:
     spoilt = slip("platform", 3.0, 0.2, 40.0)(slip("board_body", 4.0, 0.4, 20.0)(recording()))
     found = sorted(changes(calibrate(spoilt, EXACT)), key=lambda change: change.moment.at_s)
@@ -153,6 +155,7 @@ def stretches(body: str) -> Calibration:
     return calibrate(slip(body, 5.0, 0.5)(recording()), options)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("body", ["board_body", "platform"])
 def test_each_stretch_is_as_true_as_without_the_slip(body: str) -> None:
     simulation = simulated(seed=3, frames=FRAMES, mocap=NOISE)
@@ -212,6 +215,7 @@ def lenses(scale: float) -> Spoil:
     return spoilt
 
 
+@pytest.mark.long
 def test_focal_lengths_that_are_off_are_sized_in_every_camera_and_warned_of_once() -> None:
     found = calibrate(lenses(1.003)(recording()), CalibrationOptions(intrinsics="exact"))
     wanted = {finding.name: finding for finding in found.effects if finding.significant}
@@ -233,6 +237,7 @@ def test_a_lens_given_without_distortion_is_named() -> None:
     assert "given without distortion" in next(f.what for f in wanted if f.name == "distortion of front_left")
 
 
+@pytest.mark.long
 def test_a_board_of_another_size_is_sized() -> None:
     given = recording()
     board = replace(given.board, tag_side_m=1.003 * given.board.tag_side_m, tag_gap_m=1.003 * given.board.tag_gap_m)
@@ -242,6 +247,7 @@ def test_a_board_of_another_size_is_sized() -> None:
     assert share.value == pytest.approx(-0.3, abs=0.03)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("name", "move_m", "size"),
     [
@@ -296,6 +302,7 @@ def test_no_effects_where_the_mocap_is_exact_or_none_are_asked_for() -> None:
         CalibrationOptions(segments="auto", effects=False)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("capture", [Capture.FIXED_CAMERAS, Capture.STANDING_BOARD])
 def test_all_captures(capture: Capture) -> None:
     kind = {

@@ -60,6 +60,7 @@ def test_the_prior_has_the_covariance_of_the_composed_and_interpolated_noise(cap
     assert np.abs((found - expected) / (scale[:, :, None] * scale[:, None, :])).max() < 0.12
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("mocap", ["estimate", SIGMAS], ids=["estimated", "given"])
 def test_it_is_more_accurate_than_stage_3_and_its_covariance_is_true(mocap):
     plain_mm, found_mm, nees, naive, innovation = [], [], [], [], []
@@ -101,6 +102,7 @@ def test_where_the_mocap_is_taken_as_exact_the_frames_are_clustered():
     assert (ratio > 5).all()
 
 
+@pytest.mark.long
 def test_a_systematic_error_is_not_taken_for_noise():
     """A mocap volume that is 1 % too large: what noise would explain comes back at every place. Where the board's size
     is unknown too, it is that which is wrong by as much, and said to be."""

@@ -41,6 +41,7 @@ def verified(seed: int, *, moved: bool = False) -> Verification:
     return verify(simulate_lollypop(options, seed=seed + 1).recording, calibration)
 
 
+@pytest.mark.long
 def test_a_true_calibration_agrees_with_its_covariance() -> None:
     found = [camera.expected for seed in range(5) for camera in verified(seed).cameras.values() if camera.expected]
     assert len(found) >= 18
@@ -61,6 +62,7 @@ def test_a_camera_that_moved_since_does_not() -> None:
     assert cameras["side_left"].expected.observed_px > 5.0 * cameras["side_left"].expected.predicted_px
 
 
+@pytest.mark.long
 def test_a_covariance_that_claims_too_much_is_found_out() -> None:
     """The naive one of stage 3, whose estimate a noisy mocap has moved."""
     noisy = MocapNoise(0.5, 0.05)

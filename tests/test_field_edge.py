@@ -58,6 +58,7 @@ def test_a_lens_that_ends_where_the_corners_are_is_wrong_and_they_stay(recorded)
     assert left.views[name] is with_narrow
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("intrinsics", ["exact", "refine"])
 def test_from_many_starts_one_optimum(recorded, intrinsics: str) -> None:
     simulation, observations = recorded

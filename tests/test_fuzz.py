@@ -11,6 +11,7 @@ import pytest
 from gtcal.errors import GtcalError
 
 
+@pytest.mark.long
 def test_no_spoilt_file_is_more_than_refused() -> None:
     failed, most_s, _ = fuzz.run(range(400), 12, workers=1)
     assert failed == []

@@ -85,6 +85,7 @@ def test_each_model_recovers_its_lens(model: str) -> None:
     assert 0.8 * views.n_views <= found.n_views <= views.n_views
 
 
+@pytest.mark.long
 def test_a_headset_without_intrinsics_is_calibrated() -> None:
     """Fisheyes that see to 89 degrees off the axis; then the extrinsics, with the lenses found, are near the truth."""
     simulation = simulated(HEADSET, intrinsics="none")
@@ -173,6 +174,7 @@ def test_richer_fisheyes_take_the_views_of_simpler_ones() -> None:
 # Refinement with the extrinsics
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("prior", ["weak", "stated"])
 def test_refinement_brings_wrong_intrinsics_to_the_truth(prior: str) -> None:
     simulation = simulated(HEADSET, intrinsics="perturbed")
@@ -227,6 +229,7 @@ def test_real_corners_without_intrinsics(vicon_recording: Callable[..., Path]) -
     assert any("weakly determined" in warning for warning in calibration.warnings)  # it turns about the vertical
 
 
+@pytest.mark.long
 def test_real_images_without_intrinsics(vicon_recording: Callable[..., Path]) -> None:
     recording = load_recording(vicon_recording(given_corners=False))
     calibration = calibrate(recording, CalibrationOptions(intrinsics="calibrate"))

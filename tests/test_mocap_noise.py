@@ -111,6 +111,7 @@ NOISES = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kind", NOISES)
 def test_the_noise_is_recovered(kind: str) -> None:
     """What it does to the frames, that is: which body it is of, and which of its parts, they tell less well."""

@@ -63,6 +63,7 @@ def test_a_weight_below_zero_is_refused() -> None:
 NOISE = MocapNoise(translation_mm=0.3, rotation_deg=0.03)
 
 
+@pytest.mark.long
 def test_true_priors_make_the_estimate_better_and_surer() -> None:
     without_mm, with_mm = [], []
     for seed in range(3):

@@ -172,6 +172,7 @@ def test_the_sweep_reports_the_rmse_of_its_result() -> None:
     assert found.rmse_m == found.rmse_of_starts_m.min()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kind", [HEADSET, FIXED])
 def test_the_right_basin_is_reached_from_any_X(kind: str) -> None:
     """As markers glued on elsewhere would have it: ref_T_body' = ref_T_body * D, body_T_board' = D^-1 * X. The 1,000

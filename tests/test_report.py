@@ -229,6 +229,7 @@ def _repeated(evidence: CameraEvidence, times: int) -> CameraEvidence:
     )
 
 
+@pytest.mark.long
 def test_a_long_recording_makes_no_long_page(calibration: Calibration, evidence: Evidence, page: str) -> None:
     """Figures are binned, so that the page of an hour is that of a quarter of an hour."""
     long = replace(evidence, cameras={name: _repeated(camera, 150) for name, camera in evidence.cameras.items()})

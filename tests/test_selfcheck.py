@@ -39,6 +39,7 @@ def _found() -> list[SelfCheck]:
     return [checked(observed(seed)) for seed in range(2)]
 
 
+@pytest.mark.long
 def test_halves_of_a_good_recording_agree(found: list[SelfCheck]) -> None:
     per_dof = np.array([check.halves.overall.per_dof for check in found])
     assert 0.5 < per_dof.mean() < 1.6
@@ -47,6 +48,7 @@ def test_halves_of_a_good_recording_agree(found: list[SelfCheck]) -> None:
     assert found[0].halves.overall.dof == 6 + 4 * (6 + 12)
 
 
+@pytest.mark.long
 def test_a_camera_that_moved_half_way_is_told() -> None:
     observations = observed(0)
     later = time_blocks(observations, 2) == 1
@@ -69,6 +71,7 @@ def test_every_frame_is_held_out_once_and_the_default_is_the_best(found: list[Se
     assert spread[2] < 0.8 * spread[1]  # stage 4's positions vary less than stage 3's
 
 
+@pytest.mark.long
 def test_the_error_is_found_where_it_is(found: list[SelfCheck]) -> None:
     for camera in found[0].cameras:
         assert camera.pnp_px == pytest.approx(0.1 * np.sqrt(2), rel=0.1)
@@ -154,6 +157,7 @@ def test_the_command_prints_and_writes_it(tmp_path: Path) -> None:
     assert document["provenance"]["inputs"]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("capture", [Capture.TRACKED_PLATFORM, Capture.STANDING_BOARD])
 def test_on_the_real_recording_the_default_is_within_two_percent_of_the_best(
     vicon_recording: Callable[..., Path], capture: Capture, tmp_path: Path

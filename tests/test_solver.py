@@ -70,6 +70,7 @@ def test_with_good_mocap_the_result_is_near_the_truth(kind: str) -> None:
     assert not any("contradict" in warning for warning in calibration.warnings)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kind", [HEADSET, FIXED])
 def test_with_exact_mocap_the_estimate_is_unbiased_and_the_naive_covariance_true(kind: str) -> None:
     """What it claims: pixel noise alone. NEES per degree of freedom over 32 recordings, which has a standard error of
@@ -237,6 +238,7 @@ def test_the_result_can_be_carried_on_with() -> None:
 GROSS = {"swap_share": 0.2, "corners": CornerNoise(wrong_corner_share=0.05, wrong_tag_share=0.03)}
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("kind", "n_seeds"), [(HEADSET, 5), (FIXED, 3)])
 def test_gross_outliers_do_not_decide_the_result(kind: str, n_seeds: int) -> None:
     """A fifth of the frames with mocap swaps, 5 % wrong corners, 3 % wrong tags: at most twice the error without."""
@@ -345,6 +347,7 @@ def test_every_kernel_solves(name: str) -> None:
     assert calibration.sigma_px == pytest.approx(0.12, rel=0.25)
 
 
+@pytest.mark.long
 def test_graduated_non_convexity_finds_its_way_through_forty_percent_of_wrong_corners() -> None:
     """Without screening; from a wide kernel to a narrow one, where the narrow one alone need not."""
     corners = CornerNoise(wrong_corner_share=0.4)

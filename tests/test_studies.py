@@ -60,6 +60,7 @@ def test_nees_and_coverage_of_drawn_deviations() -> None:
     assert study_coverage.coverage(drawn, 0.5) == pytest.approx(0.5, abs=0.02)
 
 
+@pytest.mark.long
 def test_kernels(tmp_path: Path) -> None:
     found = {
         method: np.array([study_kernels.outcome(study_kernels.Run(method, share, 3)) for share in study_kernels.SHARES])
@@ -86,6 +87,7 @@ def test_priors(tmp_path: Path) -> None:
     assert (tmp_path / "priors.png").stat().st_size > 5_000
 
 
+@pytest.mark.long
 def test_table_1() -> None:
     result = table1_benchmark.outcome(0)
     ours, theirs = (np.mean([px for _, px in result[method].values()]) for method in (JOINT, "Sturm, Huber"))
@@ -101,6 +103,7 @@ def test_table_2(variant: table2_ablation.Variant) -> None:
     assert table2_ablation.table_of(iter([(variant, found)]), 2).row_count == 1
 
 
+@pytest.mark.long
 def test_effects() -> None:
     cases = [
         ("board's markers move", 2.0),

@@ -157,6 +157,7 @@ def test_closed_forms_are_what_samples_scatter_by(calibrated) -> None:
         np.testing.assert_allclose(pixel.rms_px, np.sqrt((pixels.var(axis=0)).sum(axis=1)), rtol=0.05)
 
 
+@pytest.mark.long
 def test_it_is_what_the_pixels_are_really_off_by() -> None:
     """Over simulated recordings with stage 4, whose covariance is true: the squared error of the pixels of points
     known in ref, and of the places of known pixels, against what was predicted."""
