@@ -18,6 +18,7 @@ from scipy.stats import f as f_distribution
 from gtcal.camera import FloatArray
 from gtcal.effects.effect import Effect
 from gtcal.effects.frames import Frames
+from gtcal.estimation.linear import summed_by_run
 from gtcal.recordings.detections import IntArray
 
 FOLDS = 10
@@ -136,9 +137,7 @@ def _summed(frames: Frames, moments: FloatArray, image: FloatArray) -> FloatArra
     whole[:, order, F : F + K] = crossed[:, kept]
     whole[:, F : F + K, order] = np.swapaxes(crossed[:, kept], 1, 2)
     whole[:, F : F + K, F : F + K] = np.swapaxes(image, 1, 2) @ crossed[:, :-1]
-    sums = np.zeros((int(frames.cluster[-1]) + 1, *whole.shape[1:]))
-    np.add.at(sums, frames.cluster, whole)
-    return sums
+    return summed_by_run(whole, frames.cluster)
 
 
 def _corrected(covariance: FloatArray, parts: FloatArray, gradients: FloatArray) -> FloatArray:

@@ -18,7 +18,7 @@ from gtcal.camera import FloatArray
 from gtcal.estimation.adjustment import Adjusted
 from gtcal.estimation.errors_in_variables import prior_information
 from gtcal.estimation.frame_statistics import FrameMoments, frame_moments, frames_of, in_parts
-from gtcal.estimation.linear import scaled_inverse, scaled_root
+from gtcal.estimation.linear import scaled_inverse, scaled_root, summed_by_run
 from gtcal.estimation.mocap_noise import MocapNoiseModel, lower_factors
 from gtcal.estimation.observations import Views
 from gtcal.estimation.options import CalibrationOptions
@@ -213,10 +213,7 @@ class _Sums:
 
 def _of_clusters(frames: FrameMoments, correlation_s: float) -> FloatArray:
     """(G, P + 1, P + 1) sums."""
-    of_frame = clusters(frames.stamps_ns, correlation_s)
-    sums = np.zeros((int(of_frame[-1]) + 1, *frames.exact.shape[1:]))
-    np.add.at(sums, of_frame, frames.exact)
-    return sums
+    return summed_by_run(frames.exact, clusters(frames.stamps_ns, correlation_s))
 
 
 def _corrected(leverage: FloatArray, gradients: FloatArray) -> FloatArray:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from gtcal.camera import FloatArray
+from gtcal.recordings.detections import IntArray
 
 
 def scaled_root(H: FloatArray) -> FloatArray:
@@ -25,3 +26,9 @@ def scaled_inverse(H: FloatArray) -> FloatArray:
     """H^-1, as ``scaled_root``."""
     root = scaled_root(H)
     return np.asarray(root.T @ root)
+
+
+def summed_by_run(values: FloatArray, key: IntArray) -> FloatArray:
+    """(G, ...) sums of the rows of values (N, ...) in each run of rows whose ``key`` (N,) is the same."""
+    starts = np.flatnonzero(np.concatenate([[True], np.diff(key) != 0]))
+    return np.asarray(np.add.reduceat(values, starts, axis=0))

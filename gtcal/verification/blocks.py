@@ -18,6 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gtcal.camera import FloatArray
+from gtcal.estimation.linear import summed_by_run
 from gtcal.recordings.detections import IntArray
 
 _FEWEST_STRETCHES = 6
@@ -48,7 +49,7 @@ class BlockedCovariance:
 def sum_covariance(values: FloatArray, frame_index: IntArray) -> BlockedCovariance | None:
     """The covariance of the sum of values (S, K) about their mean, each with its place in time ``frame_index`` (S,),
     not decreasing. None where there are too few frames to tell."""
-    by_frame = _summed(values - values.mean(axis=0), frame_index)
+    by_frame = summed_by_run(values - values.mean(axis=0), frame_index)
 
     def of_stretches(edges: IntArray) -> FloatArray:
         sums = np.add.reduceat(by_frame, edges[:-1], axis=0)
@@ -64,7 +65,7 @@ def fit_covariance(
     """The covariance of a least-squares estimate of K parameters, from each row's gradient at the estimate (S, K), its
     part of the Gauss-Newton Hessian (S, K, K), and what was added to the Hessian (K, K). ``frame_index`` and None as
     in ``sum_covariance``."""
-    score_of_frame, information_of_frame = _summed(scores, frame_index), _summed(information, frame_index)
+    score_of_frame, information_of_frame = summed_by_run(scores, frame_index), summed_by_run(information, frame_index)
     total = information.sum(axis=0) + prior
 
     def of_stretches(edges: IntArray) -> FloatArray:
@@ -93,8 +94,3 @@ def _inflated(n_frames: int, of_stretches: Callable[[IntArray], FloatArray]) -> 
     limit = 2.0 * factors[-1] - factors[-2] if len(factors) > 1 else 1.0
     inflation = max(*factors, limit, 1.0)
     return BlockedCovariance(inflation * white, inflation, n_frames)
-
-
-def _summed(values: FloatArray, frame_index: IntArray) -> FloatArray:
-    starts = np.flatnonzero(np.concatenate([[True], np.diff(frame_index) > 0]))
-    return np.asarray(np.add.reduceat(values, starts, axis=0))
