@@ -25,7 +25,7 @@ from gtcal.verification.lollypop import DEVICE_PRESETS, Lollypop
 _WIDTH = 116
 _PLATFORM = re.compile(r"(platform|headset|hmd|rig|body|camera|cams?\b|glasses|quest|aria|vicon|mocap)")
 _BOARD = re.compile(r"(board|target|grid|april|aruco|tags?\b|checker)")
-_LOLLYPOP = re.compile(r"(lolly|lolli|wand)")
+_LOLLYPOP = re.compile(r"(lolly|lolli|wand|device_body)")
 _BODY_QUESTIONS = {
     "quaternion": "In which order are the quaternion's numbers, xyzw or wxyz? The file doesn't say.",
     "length_unit": "Are the positions in m or in mm? The file doesn't say.",
