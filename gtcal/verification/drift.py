@@ -7,6 +7,7 @@ import io
 import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
+from itertools import combinations
 from pathlib import Path
 from typing import Any, Literal
 
@@ -88,9 +89,10 @@ def verify_series(
 ) -> Drift:
     """Verify one calibration with several recordings, given with their names in the order in which they were taken.
 
-    Raises GtcalError as ``verify`` does, naming the recording, or where there is none."""
+    Raises GtcalError as ``verify`` does, naming the recording; where there is none, or one is given twice."""
     if not recordings:
         raise GtcalError("there are no recordings to verify with; give one or more")
+    _check_distinct(recordings)
     options = options or VerificationOptions()
     verifications = []
     for done, (name, recording) in enumerate(recordings):
@@ -102,6 +104,27 @@ def verify_series(
     progress("verifying", len(recordings), len(recordings))
     drift = Drift(tuple(name for name, _ in recordings), tuple(verifications), (), options)
     return Drift(drift.names, drift.verifications, _trends(drift), options)
+
+
+def _check_distinct(recordings: Sequence[tuple[str, LollypopRecording]]) -> None:
+    """By what was recorded, whatever the folder is called: the same twice would count as two of a series."""
+    for (first, one), (second, other) in combinations(recordings, 2):
+        if _stamps_of(one) == _stamps_of(other) and _same_motion(one, other):
+            raise GtcalError(
+                f"{second}: is the same recording as {first}: the same images, and the same motion of the Lollypop; "
+                "give each recording once"
+            )
+
+
+def _same_motion(one: LollypopRecording, other: LollypopRecording) -> bool:
+    a, b = one.device_body, other.device_body
+    return np.array_equal(a.stamps_ns, b.stamps_ns) and np.array_equal(a.world_T_body, b.world_T_body)
+
+
+def _stamps_of(recording: LollypopRecording) -> dict[str, list[int]]:
+    """When each camera saw something."""
+    seen = {**recording.images, **recording.detections}
+    return {name: of_camera.stamps_ns.tolist() for name, of_camera in seen.items()}
 
 
 def _statistics(found: Verification, camera: str, unit: Literal["px", "mm"]) -> ErrorStatistics | None:
@@ -166,7 +189,7 @@ def write_drift_csv(path: Path, drift: Drift) -> None:
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(_COLUMNS.split(","))
     for name, found in zip(drift.names, drift.verifications, strict=True):
-        finding = "; ".join(fault.sentence for fault in found.faults)
+        finding = csv_cell("; ".join(fault.sentence for fault in found.faults))
         for camera in found.cameras.values():
             px, mm = camera.px, camera.mm
             numbers = (px.rmse, px.rmse_low, px.rmse_high, px.p95, px.worst, mm.rmse, mm.rmse_low, mm.rmse_high)
