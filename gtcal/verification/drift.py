@@ -19,6 +19,8 @@ from gtcal.errors import GtcalError
 from gtcal.files import InputFile, write_text
 from gtcal.plain import csv_cell
 from gtcal.progress import Progress, silent
+from gtcal.recordings.detections import CameraDetections
+from gtcal.recordings.images import Images
 from gtcal.results.calibration import Calibration, Provenance
 from gtcal.verification.lollypop_recording import LollypopRecording
 from gtcal.verification.verdict import overall_verdict
@@ -123,7 +125,7 @@ def _same_motion(one: LollypopRecording, other: LollypopRecording) -> bool:
 
 def _stamps_of(recording: LollypopRecording) -> dict[str, list[int]]:
     """When each camera saw something."""
-    seen = {**recording.images, **recording.detections}
+    seen: dict[str, CameraDetections | Images] = {**recording.images, **recording.detections}
     return {name: of_camera.stamps_ns.tolist() for name, of_camera in seen.items()}
 
 
