@@ -16,4 +16,7 @@ from factors.reprojection import CornerViews as CornerViews
 from factors.reprojection import FusedReprojectionFactor as FusedReprojectionFactor
 from factors.robust import GAUSSIAN as GAUSSIAN
 from factors.robust import ROBUST_KERNELS as ROBUST_KERNELS
+from factors.robust import AnyKernel as AnyKernel
+from factors.robust import CalledBackKernel as CalledBackKernel
 from factors.robust import RobustKernel as RobustKernel
+from factors.robust import kernel_of as kernel_of

@@ -22,7 +22,7 @@ from factors.kernel import kernel
 from factors.moments import chain, transport_view, triangular_factor
 from factors.reprojection import CornerViews, FloatArray, IntArray, Jacobians, view_moments
 from factors.rigid import pose_at
-from factors.robust import GAUSSIAN, RobustKernel
+from factors.robust import GAUSSIAN, AnyKernel
 
 
 @dataclass(frozen=True)
@@ -166,7 +166,7 @@ class FramesReprojection:
         ref_T_body: Sequence[int],
         body_T_board: int,
         shape: int | FloatArray = FLAT,
-        robust: RobustKernel = GAUSSIAN,
+        robust: AnyKernel = GAUSSIAN,
     ) -> None:
         self.cameras = tuple(cameras)
         self.ref_T_body = tuple(ref_T_body)

@@ -24,7 +24,7 @@ import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
-from functools import cache
+from functools import cache, partial
 from typing import Any
 
 import gtsam
@@ -36,12 +36,13 @@ from factors.camera_models import CameraModel, field_limit, project_point
 from factors.kernel import inlined, kernel
 from factors.moments import chain, transport, triangular_factor
 from factors.rigid import adjoint_of_inverse, compose, pose_at
-from factors.robust import GAUSSIAN, RobustKernel, robust_loss_and_weight
+from factors.robust import CALLED_BACK, GAUSSIAN, MEASURED, AnyKernel, CalledBackKernel, robust_loss_and_weight
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 
 _NO_OUTLINE = np.array([0.0, 0.0, 1.0, 1.0])
+_NOT_CALLED_BACK = np.empty((0, 2))
 _CORNERS_PER_TASK = 8192  # below this a thread costs more than it saves
 
 
@@ -164,10 +165,13 @@ def _sum_views(
     with_moments: bool,
     first_view: int,
     end_view: int,
+    called_back: FloatArray,
     moments: FloatArray,
     loss: FloatArray,
     n_invalid: IntArray,
 ) -> None:
+    """``called_back`` (N, 2): loss and weight of each corner where the kernel is ``CALLED_BACK``; where it is
+    ``MEASURED``, its whitened distance is written into the first column."""
     limit = field_limit(model_id, theta)
     J_point, J_theta = np.empty((2, 3)), np.empty((2, len(theta)))
     columns = 7 + (len(theta) if with_theta else 0) + (N_SHAPE if with_shape else 0)
@@ -197,7 +201,12 @@ def _sum_views(
                 with_shape,
             )
             distance = math.sqrt(rows[0, last] ** 2 + rows[1, last] ** 2) / sigma_px
-            rho, weight = robust_loss_and_weight(kernel_id, kernel_parameter, distance)
+            if kernel_id == CALLED_BACK:
+                rho, weight = called_back[n, 0], called_back[n, 1]
+            elif kernel_id == MEASURED:
+                rho, weight, called_back[n, 0] = 0.0, 0.0, distance
+            else:
+                rho, weight = robust_loss_and_weight(kernel_id, kernel_parameter, distance)
             loss_of_view += rho
             if with_moments:
                 scale = weight / (sigma_px * sigma_px)
@@ -280,7 +289,7 @@ def view_moments(
     theta: FloatArray,
     shape: FloatArray = FLAT,
     *,
-    robust: RobustKernel = GAUSSIAN,
+    robust: AnyKernel = GAUSSIAN,
     with_theta: bool = False,
     with_shape: bool = False,
     with_moments: bool = True,
@@ -297,8 +306,9 @@ def view_moments(
     n_views = views.n_views
     moments = np.empty((n_views if with_moments else 0, columns, columns))
     loss, n_invalid = np.empty(n_views), np.empty(n_views, dtype=np.int64)
+    called_back = np.empty((len(views.corners_m), 2)) if isinstance(robust, CalledBackKernel) else _NOT_CALLED_BACK
 
-    def run(task: tuple[int, int]) -> None:
+    def run(kernel_id: int, with_moments: bool, task: tuple[int, int]) -> None:
         _sum_views(
             model.model_id,
             theta,
@@ -309,18 +319,22 @@ def view_moments(
             views.outline_m,
             shape,
             views.sigma_px,
-            robust.kernel_id,
+            kernel_id,
             robust.parameter,
             with_theta,
             with_shape,
             with_moments,
             *task,
+            called_back,
             moments,
             loss,
             n_invalid,
         )
 
-    _run_on_all_cores(run, views.view_start)
+    if isinstance(robust, CalledBackKernel):
+        _run_on_all_cores(partial(run, MEASURED, False), views.view_start)
+        called_back[:] = robust.losses_and_weights(called_back[:, 0])
+    _run_on_all_cores(partial(run, robust.kernel_id, with_moments), views.view_start)
     return ViewMoments(moments, loss, n_invalid)
 
 
@@ -410,7 +424,7 @@ def reprojection_moments(
     theta: FloatArray,
     shape: FloatArray = FLAT,
     *,
-    robust: RobustKernel = GAUSSIAN,
+    robust: AnyKernel = GAUSSIAN,
     free_body: bool = False,
     free_theta: bool = False,
     free_shape: bool = False,
@@ -432,7 +446,7 @@ class _FusedResidual:
     views: CornerViews
     variables: _Variables
     model: CameraModel
-    robust: RobustKernel
+    robust: AnyKernel
 
     def __call__(self, factor: gtsam.CustomFactor, values: gtsam.Values, jacobians: Jacobians) -> FloatArray:
         camera_T_ref, ref_T_body, body_T_board, theta, shape = self.variables.at(values)
@@ -484,7 +498,7 @@ class FusedReprojectionFactor(gtsam.CustomFactor):
         ref_T_body: int | FloatArray,
         theta: int | FloatArray,
         shape: int | FloatArray = FLAT,
-        robust: RobustKernel = GAUSSIAN,
+        robust: AnyKernel = GAUSSIAN,
     ) -> None:
         if isinstance(ref_T_body, int):
             if views.n_views != 1:

@@ -3,10 +3,12 @@ three stages; and a guess at what is wrong where nothing fits."""
 
 from __future__ import annotations
 
+import logging
 import time
 from collections.abc import Sequence
 from dataclasses import replace
 
+from factors import CalledBackKernel
 from gtcal.blas import on_one_blas_thread
 from gtcal.camera import Camera
 from gtcal.clock.find import tested, with_clock, with_stated_readouts
@@ -27,6 +29,8 @@ from gtcal.recordings.manifest import MANIFEST_NAMES
 from gtcal.recordings.recording import Recording
 from gtcal.results.calibration import Calibration, Clock, StageReport
 
+_log = logging.getLogger(__name__)
+
 
 @on_one_blas_thread
 def calibrate(
@@ -42,6 +46,11 @@ def calibrate(
     Raises GtcalError with one line on what is wrong: intrinsics missing, too few views, a degenerate motion, no time
     in common, or files that contradict each other (DisagreementError, with the likely mistake if one is found)."""
     options = options or CalibrationOptions()
+    if isinstance(options.robust, CalledBackKernel):
+        _log.warning(
+            "robust kernel %s is called back from Python for every corner: slower than those that are compiled",
+            options.robust.name,
+        )
     recording = detected(recording, progress=progress)
     if earlier is not None:
         check_independent(earlier, recording.inputs)

@@ -3,6 +3,8 @@ shows after input."""
 
 from __future__ import annotations
 
+import base64
+import hashlib
 import html
 import json
 import re
@@ -98,13 +100,21 @@ class Seen:
     drawn: bool
 
 
+def _source(script: str) -> str:
+    """How a Content-Security-Policy names an element by what is in it."""
+    content = script.removeprefix("<script>").removesuffix("</script>")
+    return f"sha256-{base64.b64encode(hashlib.sha256(content.encode()).digest()).decode()}"
+
+
 def look_at(page: Path, tmp_path: Path, *, width_px: int) -> Seen:
     """Open a page in a window of this width. The test is skipped where there is no Chromium."""
     chromium = next(filter(None, map(shutil.which, _NAMES)), None)
     if chromium is None:
         pytest.skip(f"no Chromium is installed (none of {', '.join(_NAMES)} is on the path)")
     text = page.read_text(encoding="utf-8")
-    probed = text.replace("<head>", f"<head>{_LISTEN}", 1).replace("</body>", f"{_PROBE}</body>", 1)
+    # the page's own policy stays, and lets what is put in act too
+    probed = text.replace("script-src ", f"script-src '{_source(_PROBE)}' ", 1)
+    probed = probed.replace("<head>", f"<head>{_LISTEN}", 1).replace("</body>", f"{_PROBE}</body>", 1)
     (tmp_path / "probed.html").write_text(probed, encoding="utf-8")
     outer = tmp_path / "frame.html"
     outer.write_text(_FRAME.replace("WIDTH_PX", str(width_px)), encoding="utf-8")

@@ -15,7 +15,18 @@ from cli_support import run
 
 from factors.rigid import inverse
 from gtcal import CalibrationOptions, GtcalError
-from gtcal.baselines.compare import CLOSED_FORMS, JOINT, MARKERS, PAPER, STURM, compare
+from gtcal.baselines.compare import (
+    CLOSED_FORMS,
+    JOINT,
+    MARKERS,
+    PAPER,
+    STURM,
+    _estimated,
+    _farthest,
+    _jackknifed,
+    _without_a_block_each,
+    compare,
+)
 from gtcal.baselines.marker_file import read_marker_sightings
 from gtcal.baselines.markers import MarkerSightings, calibrate_on_markers
 from gtcal.baselines.pose_pairs import PosePairs, pose_pairs, relative_motions
@@ -135,7 +146,7 @@ def _lollypop():
 def test_the_joint_solution_is_the_best_by_the_lollypop(lollypop) -> None:
     simulation = simulated(HEADSET, mocap=MocapNoise(0.1, 0.01))
     X = simulation.truth.body_T_board @ gtsam.Pose3.Expmap([0.01, 0, 0, 0.003, 0, 0.002]).matrix()
-    found = compare(simulation.recording, lollypop.recording, measured_body_T_board=X)
+    found = compare(simulation.recording, lollypop.recording, measured_body_T_board=X, truth=simulation.truth)
     by_method = {row.method: row for row in found}
     assert list(by_method) == [JOINT, PAPER, *CLOSED_FORMS, *STURM]
     assert not any(row.failure for row in found)
@@ -143,6 +154,16 @@ def test_the_joint_solution_is_the_best_by_the_lollypop(lollypop) -> None:
     assert rmse_px[JOINT] <= 1.02 * min(rmse_px.values())
     assert rmse_px["Sturm, Huber"] > 1.3 * rmse_px[JOINT]
     assert by_method[JOINT].difference_mm == 0.0
+    for row in found:
+        if row.method not in (PAPER, *STURM):  # those see no mocap noise, or no error of X
+            assert 0.1 < row.truth_mm / row.sigma_mm < 6
+            assert 0.1 < row.truth_deg / row.sigma_deg < 6
+    assert by_method[PAPER].sigma_mm < by_method["Tsai-Lenz (AX = XB)"].sigma_mm
+    assert by_method[JOINT].truth_mm == min(row.truth_mm for row in found)
+    assert by_method[JOINT].sigma_mm == max(
+        camera.camera_T_ref.position_of_a_in_b_sigma_mm.max()
+        for camera in by_method[JOINT].calibration.cameras.values()
+    )
     assert by_method["Tsai-Lenz (AX = XB)"].calibration.warnings == (
         "by a baseline, for comparison: Tsai-Lenz (AX = XB)",
     )
@@ -182,6 +203,9 @@ def test_the_command_prints_and_writes_them(tmp_path: Path, lollypop) -> None:
     assert all(row["lollypop_rmse_px"] > 0 for row in rows)
     assert all(row["method"][:12] in ran.out for row in rows)
     assert rows[-1]["difference_mm"] < 2.0
+    assert all(row["truth_mm"] > 0 for row in rows)
+    assert [row["method"] for row in rows if row["sigma_mm"] is None] == [MARKERS]
+    assert "from truth, mm" in ran.out
 
 
 @pytest.mark.parametrize(
@@ -201,6 +225,19 @@ def test_a_wrong_marker_file_is_told(tmp_path: Path, line: str, message: str) ->
     with pytest.raises(GtcalError) as caught:
         read_marker_sightings(tmp_path / "m.csv", simulated(HEADSET).recording)
     assert message in str(caught.value)
+
+
+def test_scatter_with_frames_left_out_is_that_of_recordings_with_other_noise() -> None:
+    """One method, many recordings: what the jackknife of one says of its error, all of them show."""
+    method, stated, found = "Shah (AX = ZB)", [], []
+    for seed in range(6):
+        simulation = simulated(HEADSET, seed=seed, frames=24, mocap=MocapNoise(0.3, 0.03))
+        views = synchronise(simulation.recording).views
+        pairs = pose_pairs(views)
+        stated.append(_jackknifed(method, _without_a_block_each(views), None))
+        found.append(_farthest(_estimated(method, views, pairs, None).camera_T_ref, simulation.truth.camera_T_ref))
+    # the largest distance of four cameras beside the largest sigma of one axis of one
+    assert np.median(found, axis=0) / np.median(stated, axis=0) == pytest.approx(1.5, rel=0.6)
 
 
 def test_sturms_method_needs_a_measured_board(tmp_path: Path) -> None:

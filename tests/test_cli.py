@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import subprocess
 import sys
 from collections.abc import Callable
@@ -233,6 +234,47 @@ def test_simulate_refuses_what_makes_no_sense(arguments: list[object], said: str
     assert ran.err.count("\n") == 1
     assert said in ran.err
     assert files_in(tmp_path) == set()
+
+
+def completed(shell: str, *words: str) -> list[str]:
+    """What the script offers for the last of these words."""
+    script = run("completion", shell)
+    assert (script.code, script.err) == (0, "")
+    here = script.out.splitlines()
+    start = next(number for number, line in enumerate(here) if "<< 'PYTHON_EOF'" in line)
+    code = "\n".join(here[start + 1 : here.index("PYTHON_EOF")])
+    arguments = [sys.executable, "-c", code, *words, str(len(words) - 1)]
+    done = subprocess.run(arguments, capture_output=True, text=True, check=True)
+    return [line.partition("\t")[0] for line in done.stdout.splitlines()]
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh"])
+def test_a_shell_completes_commands_options_choices_and_files(shell: str) -> None:
+    assert set(COMMANDS) <= set(completed(shell, "gtcal", ""))
+    assert completed(shell, "gtcal", "dri") == ["drift"]
+    assert completed(shell, "gtcal", "calibrate", "--mocap-n") == ["--mocap-noise"]
+    assert completed(shell, "gtcal", "export", "cal.json", "--to", "ka") == ["kalibr"]
+    assert completed(shell, "gtcal", "calibrate", "some") == ["__TYRO_COMPLETE_FILES__"]
+
+
+def test_bash_and_fish_are_told_what_to_call() -> None:
+    shown = run("completion", "fish").out
+    assert "complete --no-files --command 'gtcal'" in shown
+    assert all(f"'{name}'" in shown for name in COMMANDS)
+    if bash := shutil.which("bash"):
+        ask = "COMP_WORDS=(gtcal exp); COMP_CWORD=1; _tyro_gtcal; echo ${COMPREPLY[@]}; complete -p gtcal"
+        done = subprocess.run([bash, "-c", run("completion", "bash").out + ask], capture_output=True, text=True)
+        assert done.stdout.splitlines() == ["export", "complete -F _tyro_gtcal gtcal"]
+
+
+def test_every_intrinsic_that_was_found_is_shown_with_its_sigma(folder: Path, tmp_path: Path) -> None:
+    assert run("calibrate", folder, "-o", tmp_path / "c.json", "--no-effects", "-q").code == 0
+    shown = run("info", tmp_path / "c.json").out
+    for camera in read_calibration(tmp_path / "c.json").cameras.values():
+        sigmas = np.sqrt(np.diag(camera.theta_covariance))
+        for value, sigma in zip(camera.camera.theta[4:], sigmas[4:], strict=True):
+            digits = int(1 - np.floor(np.log10(sigma)))
+            assert f"{value:.{digits}f} ± {sigma:.{digits}f}" in shown
 
 
 def test_schema_is_json_on_the_screen_and_in_a_file(tmp_path: Path) -> None:

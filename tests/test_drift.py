@@ -94,14 +94,32 @@ def test_two_recordings_have_no_trend() -> None:
 
 def test_a_wrong_recording_is_named() -> None:
     simulation = series("none")[0]
-    camera = simulation.recording.cameras["front_left"]
-    small = replace(
-        simulation.recording, cameras=simulation.recording.cameras | {"front_left": replace(camera, image_width_px=640)}
-    )
+    other = series("none")[1].recording
+    camera = other.cameras["front_left"]
+    small = replace(other, cameras=other.cameras | {"front_left": replace(camera, image_width_px=640)})
     with pytest.raises(GtcalError, match="second: camera 'front_left' has images of 640 x 1024"):
         verify_series([("first", simulation.recording), ("second", small)], simulation.true_calibration())
     with pytest.raises(GtcalError, match="no recordings"):
         verify_series([], simulation.true_calibration())
+
+
+def test_one_recording_given_twice_is_refused_whatever_it_is_called(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    one, other = (simulation.recording for simulation in series("none")[:2])
+    true = series("none")[0].true_calibration()
+    with pytest.raises(GtcalError, match=r"friday: is the same recording as monday: .*; give each recording once"):
+        verify_series([("monday", one), ("tuesday", other), ("friday", replace(one, path=Path("copy")))], true)
+    # one export of the mocap may hold two recordings
+    later = {name: replace(seen, stamps_ns=seen.stamps_ns + 1) for name, seen in one.detections.items()}
+    assert len(verify_series([("monday", one), ("friday", replace(one, detections=later))], true).names) == 2
+    write_calibration(tmp_path / "calibration.json", true)
+    write_lollypop_simulation(series("none")[0], tmp_path / "a", images=False)
+    write_lollypop_simulation(series("none")[0], tmp_path / "b", images=False)
+    arguments = [str(tmp_path / name) for name in ("calibration.json", "a", "b")]
+    assert main(["drift", *arguments, "-o", str(tmp_path / "d.json")]) == 1
+    assert "b: is the same recording as a" in capsys.readouterr().err
+    assert not (tmp_path / "d.json").exists()
 
 
 @pytest.mark.parametrize("suffix", [".png", ".svg", ".pdf"])

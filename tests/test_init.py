@@ -21,13 +21,15 @@ from test_folder_layouts import CAMCHAIN, SENSOR, STAMPS_NS, body, camera
 from vrs_support import image_stream, write_vrs
 
 from gtcal.board import AprilGrid, ArucoGrid, Board, CharucoBoard
-from gtcal.detection.board_guess import guess_board
+from gtcal.detection.board_guess import guess_board, guess_lone_tag
+from gtcal.errors import GtcalError
 from gtcal.overview.draft import draft
 from gtcal.overview.survey import survey
 from gtcal.readers import write_euroc_csv, write_tum
 from gtcal.recordings.images import image_folder
 from gtcal.recordings.recording import load_recording
 from gtcal.results.calibration_file import read_calibration
+from gtcal.verification.lollypop_recording import load_lollypop_recording
 
 GREY = [np.full((48, 64), 20 * i, np.uint8) for i in range(4)]
 
@@ -214,11 +216,11 @@ def test_a_folder_with_nothing_in_it_is_told(make: Callable[[Path], object], tmp
     assert "there is no such folder" in run("init", tmp_path / "nowhere").err
 
 
-def views(board: Board, folder: Path) -> Path:
+def views(board: Board, folder: Path, widths_away: float = 1.6) -> Path:
     filmer = Filmer(PINHOLE)
     folder.mkdir()
     for i in range(4):
-        view = filmer.view(board, 1.6 * max(board.width_m, board.height_m), tilt_deg=25.0)
+        view = filmer.view(board, widths_away * max(board.width_m, board.height_m), tilt_deg=25.0)
         cv2.imwrite(str(folder / f"{EPOCH_NS + 10**9 * i}.png"), view.image)
     return folder
 
@@ -253,9 +255,42 @@ def test_sizes_are_asked_where_the_tags_are_known(tmp_path: Path) -> None:
     assert load_recording(tmp_path).board == board
 
 
+def test_a_tag_alone_is_a_lollypops(tmp_path: Path) -> None:
+    views(ArucoGrid("DICT_6X6_250", 1, 1, 0.3, 0.075, first_tag_id=10), tmp_path / "cam0", 5.0)
+    for seed, name in enumerate(("headset", "lollypop", "board")):
+        write_euroc_csv(tmp_path / f"{name}.csv", wandering_trajectory(name, seed=seed))
+    fields, questions = drafted(tmp_path)
+    assert fields["capture"] == "tracked_platform"
+    assert fields["device_body"] == {"trajectory": "lollypop.csv", "format": "euroc_csv"}
+    assert "board" not in fields
+    assert "board_body" not in fields
+    assert [line.split(":")[0] for line in questions] == [
+        "device.tag_side_m",
+        "device.centre_offset_m",
+        "cameras.cam0.model",
+    ]
+    (tmp_path / "recording.yaml").write_text(draft(survey(tmp_path), tmp_path / "recording.yaml").text)
+    with pytest.raises(GtcalError, match=r"device\.tag_side_m: is still an open question: How long is the side"):
+        load_lollypop_recording(tmp_path)
+    answers = {"tag_side_m": "0.06", "centre_offset_m": "[0, 0, 0.01]", "model": "pinhole_radtan"}
+    answered(tmp_path / "recording.yaml", answers)
+    device = load_lollypop_recording(tmp_path).device
+    assert (device.tag_ids.tolist(), device.faces[0].centre_in_body_m) == ([10], (0.0, 0.0, 0.01))
+
+
+def test_the_papers_lollypop_is_offered(tmp_path: Path) -> None:
+    views(ArucoGrid("DICT_5X5_50", 1, 1, 0.3, 0.075), tmp_path / "cam0", 5.0)
+    write_euroc_csv(tmp_path / "wand.csv", wandering_trajectory("wand"))
+    fields, questions = drafted(tmp_path)
+    assert (fields["capture"], fields["device"]) == ("fixed_cameras", "QUESTION")
+    assert "answer {preset: paper_lollypop}" in questions[0]
+
+
 def test_images_of_no_board_show_none(tmp_path: Path) -> None:
     camera(tmp_path / "cam0")
-    assert guess_board(image_folder(tmp_path / "cam0" / "data")) is None
+    images = image_folder(tmp_path / "cam0" / "data")
+    assert guess_board(images) is None
+    assert guess_lone_tag(images) is None
 
 
 def test_a_board_file_that_the_images_contradict_is_said(tmp_path: Path) -> None:

@@ -19,6 +19,8 @@ from gtcal import CalibrationOptions, GtcalError, calibrate
 from gtcal.overview.live import MOST_VIEWS, Enough, Watcher, watch
 from gtcal.recordings.recording import Recording, write_recording
 from gtcal.simulation import MocapNoise, write_simulation
+from gtcal.simulation.lollypop import LollypopOptions, simulate_lollypop
+from gtcal.verification.lollypop_recording import write_lollypop_recording
 
 NOISY = MocapNoise(translation_mm=0.1, rotation_deg=0.01)
 
@@ -68,16 +70,12 @@ def test_a_look_is_about_as_sure_as_the_calibration_will_be(tmp_path: Path) -> N
 
 def test_half_written_files_are_a_line_and_not_the_end(tmp_path: Path) -> None:
     whole = simulated(HEADSET, seed=1, frames=40).recording
-    looks = watch(tmp_path, poll_s=0.01)
-    assert "recording.yaml" in next(looks).problem
     write_over(whole, tmp_path / "r")
     (tmp_path / "r" / "platform.csv").write_bytes((tmp_path / "r" / "platform.csv").read_bytes()[:-20])
     looks = watch(tmp_path / "r", poll_s=0.01)
     assert "platform.csv" in next(looks).problem
     write_over(whole, tmp_path / "r")
     assert next(looks).sigma_mm
-    with pytest.raises(GtcalError, match="no such file"):
-        next(watch(tmp_path / "absent"))
     with pytest.raises(GtcalError, match="enough: mm is 0"):
         Enough(mm=0.0)
 
@@ -96,6 +94,22 @@ def test_images_are_detected_once_and_new_ones_as_they_come(tmp_path: Path) -> N
     after = {name: set(seen) for name, seen in watcher.seen.items()}
     assert all(before[name] <= after[name] for name in before)
     assert int(images[-1].stem) in set().union(*after.values()) - set().union(*before.values())
+
+
+def test_what_is_no_recording_ends_with_a_line(tmp_path: Path) -> None:
+    write_lollypop_recording(simulate_lollypop(LollypopOptions(n_frames=10), seed=1).recording, tmp_path / "lollypop")
+    (tmp_path / "calibration.json").write_text('{"gtcal_calibration": 1}')
+    (tmp_path / "images").mkdir()
+    told = {
+        "absent": "there is no such recording",
+        "images": "there is no manifest in this folder",
+        "calibration.json": "gtcal_calibration: is not a field",
+        "lollypop": "this is a recording of a Lollypop",
+    }
+    for name, message in told.items():
+        ran = run("info", tmp_path / name, "--live")
+        assert (ran.code, ran.out, ran.err.count("\n")) == (1, "", 1)
+        assert message in ran.err
 
 
 def test_it_goes_without_a_figure(tmp_path: Path) -> None:

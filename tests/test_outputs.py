@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import json
 import os
 import stat
 import subprocess
@@ -45,6 +46,7 @@ READING: dict[str, tuple[list[str], str]] = {
     "simulate": ([], ""),  # a folder, which has to be new or empty
     "demo": ([], ""),  # the same
     "schema": ([], ""),  # reads nothing
+    "completion": (["bash"], ""),  # the same
 }
 
 
@@ -190,6 +192,24 @@ def test_a_device_stays_one() -> None:
     check_outputs([Path("/dev/null")])
     write_text(Path("/dev/null"), "gone")
     assert stat.S_ISCHR(Path("/dev/null").stat().st_mode)
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["uncertainty", "cal.json", "--output"],
+        ["diff", "cal.json", "other.json", "--output=/dev/stdout"],
+        ["drift", "cal.json", "lollypop", "--output"],
+        ["schema", "-o"],
+    ],
+)
+def test_what_reads_standard_output_gets_the_file_and_no_words(arguments: list[str], ground: Path) -> None:
+    stdout = [] if arguments[-1].endswith("/dev/stdout") else ["/dev/stdout"]
+    command = [sys.executable, "-m", "gtcal", *arguments, *stdout]
+    done = subprocess.run(command, cwd=ground, capture_output=True, timeout=120)
+    assert done.returncode in (0, 3, 4)
+    json.loads(done.stdout)
+    assert done.stderr or arguments[0] == "schema"
 
 
 @pytest.mark.parametrize("to", ["pipe", "file"])

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import re
+from pathlib import Path
+
 import gtsam
 import numpy as np
 import pytest
 from calibration_support import HEADSET, simulated
 from example_own_factor import distance_factor
 from factors_support import derivative_to, poses
+from scipy.spatial.transform import Rotation
 
 from gtcal import (
     CalibrationOptions,
@@ -16,6 +20,7 @@ from gtcal import (
     read_calibration,
     synchronise,
     write_calibration,
+    write_recording,
 )
 from gtcal.estimation.solve_again import board_key, camera_key, intrinsics_key, solve_again
 from gtcal.results.covariance import ERRORS_IN_VARIABLES, NAIVE
@@ -77,3 +82,40 @@ def test_what_cannot_be_gone_on_from_is_told(found, tmp_path):
     write_calibration(tmp_path / "c.json", found)
     with pytest.raises(GtcalError, match="read from a file has no graph"):
         solve_again(read_calibration(tmp_path / "c.json"), [])
+
+
+def test_the_readmes_own_kernel_prior_and_factor(tmp_path, monkeypatch):
+    simulation = simulated(HEADSET, frames=20, mocap=MocapNoise(0.3, 0.03))
+    monkeypatch.chdir(tmp_path)
+    write_recording(simulation.recording, "my_recording")
+    true = simulation.truth.body_T_board
+    off_along_z_m = 0.02 * true[:3, 2]  # of which nothing is known
+    place = tuple((true[:3, 3] + off_along_z_m).tolist())
+    of_this_one = {
+        "cam0": "front_left",
+        "(0.012, 0.0, 0.040)": str(place),
+        "(1.0, 0.0, 0.0, 0.0)": str(tuple(np.roll(Rotation.from_matrix(true[:3, :3]).as_quat(), 1).tolist())),
+        "(0.002, 0.002, None)": "(1e-5, 1e-5, None)",
+    }
+    readme = (Path(__file__).resolve().parents[1] / "README.md").read_text(encoding="utf-8")
+    for stated, ours in of_this_one.items():
+        assert stated in readme
+        readme = readme.replace(stated, ours)
+    space: dict = {}
+    for what in ("own kernel", "own prior", "own factor", "solve again"):
+        block = re.search(rf"<!-- {what} -->\n```python\n(.*?)```", readme, re.DOTALL)
+        assert block
+        assert len([line for line in block[1].splitlines() if line]) <= 10
+        exec(block[1], space)
+    assert space["calibration"].provenance.options["robust"] == {"name": "Custom", "called_back": True}
+    off_m = space["with_prior"].body_T_board.a_T_b[:3, 3] - true[:3, 3]
+    assert (np.abs(true[:3, :3].T @ off_m) < (3e-5, 3e-5, 5e-3)).all()
+    surer, before = (space[name].body_T_board.position_of_b_in_a_sigma_mm for name in ("with_prior", "calibration"))
+    assert surer.min() < 0.5 * before.min()
+    values = space["calibration"].solution.values
+    jacobian = space["laser"].linearize(values).jacobian()[0]
+    numeric = derivative_to(space["laser"].whitenedError, values, space["laser"].keys()[0])
+    np.testing.assert_allclose(jacobian, numeric, atol=1e-4)
+    height_m = space["again"].cameras["front_left"].camera_T_ref.position_of_a_in_b_m[2]
+    assert height_m == pytest.approx(0.1, abs=3e-4)
+    assert set(read_calibration(tmp_path / "with_laser.json").cameras) == set(space["again"].cameras)

@@ -8,14 +8,19 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from support import wandering_trajectory
 
 from factors import PINHOLE_RADTAN
 from gtcal.board import PRESETS
 from gtcal.camera import Camera
 from gtcal.detection.board_guess import guess_board
 from gtcal.detection.detect import cached_detect, detect
+from gtcal.doctor.manifest_lines import ManifestFile
+from gtcal.doctor.opening import opened
 from gtcal.errors import GtcalError
+from gtcal.readers import write_euroc_csv
 from gtcal.recordings.images import MOST_UNREADABLE, ImageSequence, first_whole, image_folder, left_out
+from gtcal.recordings.manifest import load_fields
 
 N = 40
 CAMERA = Camera("cam0", PINHOLE_RADTAN, None, 64, 48)
@@ -70,3 +75,20 @@ def test_another_size_is_an_error_in_any_number(images: ImageSequence) -> None:
     cv2.imwrite(str(images.paths[7]), np.zeros((64, 48), np.uint8))
     with pytest.raises(GtcalError, match="48 x 64 pixels, but the camera's image size is 64 x 48"):
         detect(images, PRESETS["paper_a2"], CAMERA)
+
+
+@pytest.mark.parametrize("stated_px", ["[640, 500]", "[10, 70]"])
+def test_the_size_of_the_others_is_told_where_the_first_is_bad(
+    stated_px: str, images: ImageSequence, tmp_path: Path
+) -> None:
+    spoil(images, 0)
+    write_euroc_csv(tmp_path / "board.csv", wandering_trajectory("board"))
+    manifest = tmp_path / "recording.yaml"
+    manifest.write_text(
+        "gtcal_recording: 1\ncapture: fixed_cameras\nboard: {preset: paper_a2}\n"
+        f"cameras:\n  cam0: {{model: fisheye62, image_size_px: {stated_px}, images: .}}\n"
+        "board_body: {trajectory: board.csv, format: euroc_csv}\n"
+    )
+    (found, *_) = opened(ManifestFile(manifest, load_fields(manifest)))
+    assert found.recording.cameras["cam0"].image_width_px == 64
+    assert found.refusals[0][1] == ("cameras.cam0.image_size_px: [64, 48]",)

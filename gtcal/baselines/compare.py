@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from factors.rigid import inverse
 from gtcal.baselines.dornaika_horaud import dornaika_horaud
@@ -21,11 +22,12 @@ from gtcal.errors import GtcalError
 from gtcal.estimation.estimate import Estimate
 from gtcal.estimation.observations import Views
 from gtcal.estimation.options import CalibrationOptions
-from gtcal.estimation.residuals import chain_residuals_px, norms
+from gtcal.estimation.residuals import chain_residuals_px, norms, select_views
 from gtcal.progress import Progress, silent
 from gtcal.recordings.recording import Recording
 from gtcal.results.calibration import Calibration, PoseEstimate, ResidualStatistics, pose_difference
 from gtcal.results.covariance import NAIVE
+from gtcal.simulation.truth import GroundTruth
 from gtcal.verification.lollypop_recording import LollypopRecording
 from gtcal.verification.workflow import verify
 from gtcal.workflow import calibrate
@@ -40,6 +42,7 @@ CLOSED_FORMS = {
 }
 MARKERS = "P3P on markers"
 STURM = {"Sturm, least squares": False, "Sturm, Huber": True}
+_BLOCKS = 10
 
 
 @dataclass(frozen=True)
@@ -48,7 +51,11 @@ class Compared:
 
     calibration: None where it failed, and ``failure`` says why. board_rmse_px: over the views and corners that the
     joint solution keeps. lollypop_rmse_px: None without a Lollypop recording. difference_mm, difference_deg: from the
-    joint solution, the largest of the cameras. duration_s: of the method, its PnP included."""
+    joint solution, the largest of the cameras. duration_s: of the method, its PnP included.
+    sigma_mm, sigma_deg: the largest 1-sigma of a camera's place along an axis, of its attitude about one: by the
+        method's covariance; where it has none, by the scatter with each tenth of the frames left out (jackknife), which
+        does not see what errs alike in all frames. None where neither is known.
+    truth_mm, truth_deg: from the truth, the largest of the cameras; None where it is not known."""
 
     method: str
     calibration: Calibration | None
@@ -58,6 +65,10 @@ class Compared:
     difference_deg: float
     duration_s: float
     failure: str = ""
+    sigma_mm: float | None = None
+    sigma_deg: float | None = None
+    truth_mm: float | None = None
+    truth_deg: float | None = None
 
 
 def compare(
@@ -66,10 +77,11 @@ def compare(
     options: CalibrationOptions | None = None,
     *,
     measured_body_T_board: FloatArray | None = None,
+    truth: GroundTruth | None = None,
     progress: Progress = silent,
 ) -> tuple[Compared, ...]:
     """The joint solution first, then the others. measured_body_T_board: X as measured by hand (4, 4); Sturm's method is
-    left out without it.
+    left out without it. truth: of a simulated recording.
 
     Raises GtcalError where the joint solution fails."""
     options = options or CalibrationOptions()
@@ -77,25 +89,52 @@ def compare(
     progress("comparing", 0, len(methods))
     started = time.perf_counter()
     joint = calibrate(recording, options)
-    found = [_compared(JOINT, joint, joint, lollypop, time.perf_counter() - started)]
+    judged = _Judges(joint, lollypop, truth)
+    found = [_compared(JOINT, joint, judged, time.perf_counter() - started, _stated_sigmas(joint))]
     assert joint.solution is not None
     views = joint.solution.views
+    left_out = _without_a_block_each(views)
     for done, method in enumerate(methods[1:], start=1):
         progress("comparing", done, len(methods))
         started = time.perf_counter()
         try:
-            calibration = _calibrated(method, recording, views, joint, options, measured_body_T_board)
+            if method == PAPER:
+                calibration = calibrate(recording, replace(options, mocap="exact"))
+                duration_s, sigmas = time.perf_counter() - started, _stated_sigmas(calibration)
+            else:
+                estimate = _estimated(method, views, pose_pairs(views), measured_body_T_board)
+                calibration, duration_s = as_calibration(method, estimate, joint), time.perf_counter() - started
+                sigmas = _jackknifed(method, left_out, measured_body_T_board)
         except (GtcalError, np.linalg.LinAlgError) as error:
-            nan = float("nan")
-            found.append(Compared(method, None, nan, None, nan, nan, time.perf_counter() - started, str(error)))
+            found.append(_failed(method, str(error), time.perf_counter() - started))
             continue
-        found.append(_compared(method, calibration, joint, lollypop, time.perf_counter() - started))
+        found.append(_compared(method, calibration, judged, duration_s, sigmas))
     progress("comparing", len(methods), len(methods))
     return tuple(found)
 
 
+@dataclass(frozen=True)
+class _Judges:
+    """What all methods are judged by."""
+
+    joint: Calibration
+    lollypop: LollypopRecording | None
+    truth: GroundTruth | None
+
+
+def _failed(method: str, why: str, duration_s: float) -> Compared:
+    nan = float("nan")
+    return Compared(method, None, nan, None, nan, nan, duration_s, why)
+
+
 def compare_markers(
-    path: Path, recording: Recording, joint: Compared, lollypop: LollypopRecording | None, *, seed: int = 0
+    path: Path,
+    recording: Recording,
+    joint: Compared,
+    lollypop: LollypopRecording | None,
+    *,
+    truth: GroundTruth | None = None,
+    seed: int = 0,
 ) -> Compared:
     """Direct calibration on the markers of a file; X is the joint solution's, which the method does not find.
 
@@ -103,44 +142,76 @@ def compare_markers(
     assert joint.calibration is not None
     sightings, _ = read_marker_sightings(path, recording)
     started = time.perf_counter()
-    nan = float("nan")
     try:
         missing = [name for name in recording.cameras if name not in sightings]
         if missing:
             raise GtcalError(f"no markers seen by camera {missing[0]!r}")
         found = {name: calibrate_on_markers(seen, seed=seed).camera_T_ref for name, seen in sightings.items()}
     except GtcalError as error:
-        return Compared(MARKERS, None, nan, None, nan, nan, time.perf_counter() - started, str(error))
+        return _failed(MARKERS, str(error), time.perf_counter() - started)
     estimate = replace(joint.calibration.estimate, camera_T_ref=found)
     calibration = as_calibration(MARKERS, estimate, joint.calibration)
-    return _compared(MARKERS, calibration, joint.calibration, lollypop, time.perf_counter() - started)
+    judged = _Judges(joint.calibration, lollypop, truth)
+    return _compared(MARKERS, calibration, judged, time.perf_counter() - started, (None, None))
 
 
-def _calibrated(
+def _estimated(
     method: str,
-    recording: Recording,
     views: Mapping[str, Views],
-    joint: Calibration,
-    options: CalibrationOptions,
+    pairs: Mapping[str, PosePairs],
     measured_body_T_board: FloatArray | None,
-) -> Calibration:
-    if method == PAPER:
-        return calibrate(recording, replace(options, mocap="exact"))
-    pairs = pose_pairs(views)
+) -> Estimate:
+    """By one of the baselines."""
     if method in STURM:
         assert measured_body_T_board is not None
-        return as_calibration(method, sturm(views, pairs, measured_body_T_board, huber=STURM[method]), joint)
-    return as_calibration(method, _from_poses(CLOSED_FORMS[method], pairs, joint), joint)
+        return sturm(views, pairs, measured_body_T_board, huber=STURM[method])
+    body_T_board, cameras = CLOSED_FORMS[method](pairs)
+    return Estimate(body_T_board, cameras, {name: of_camera.camera.theta for name, of_camera in views.items()})
 
 
-def _from_poses(
-    method: Callable[[Mapping[str, PosePairs]], tuple[FloatArray, dict[str, FloatArray]]],
-    pairs: Mapping[str, PosePairs],
-    joint: Calibration,
-) -> Estimate:
-    body_T_board, cameras = method(pairs)
-    theta = {name: camera.camera.theta for name, camera in joint.cameras.items()}
-    return Estimate(body_T_board, cameras, theta)
+_Sigmas = tuple[float | None, float | None]
+_LeftOut = list[tuple[dict[str, Views], dict[str, PosePairs]]]
+
+
+def _stated_sigmas(calibration: Calibration) -> _Sigmas:
+    """The largest, in mm and deg, of the calibration's covariance."""
+    poses = [camera.camera_T_ref for camera in calibration.cameras.values()]
+    mm, deg = ([getattr(p, of) for p in poses] for of in ("position_of_a_in_b_sigma_mm", "rotation_sigma_deg"))
+    known = all(sigma is not None for sigma in (*mm, *deg))
+    return (float(np.max(mm)), float(np.max(deg))) if known else (None, None)
+
+
+def _without_a_block_each(views: Mapping[str, Views]) -> _LeftOut:
+    """The views without each of the blocks of time in turn; none where too few are left."""
+    frames = np.unique(np.concatenate([of_camera.frame_index for of_camera in views.values()]))
+    left_out = []
+    for block in np.array_split(frames, _BLOCKS):
+        rest = {
+            name: select_views(of_camera, np.flatnonzero(~np.isin(of_camera.frame_index, block)))
+            for name, of_camera in views.items()
+        }
+        try:
+            left_out.append((rest, pose_pairs(rest)))
+        except GtcalError:
+            return []
+    return left_out
+
+
+def _jackknifed(method: str, left_out: _LeftOut, measured_body_T_board: FloatArray | None) -> _Sigmas:
+    """The largest 1-sigma of a camera, in mm and deg, by the scatter of what the method finds with a block left out."""
+    try:
+        found = [_estimated(method, *rest, measured_body_T_board).camera_T_ref for rest in left_out]
+    except (GtcalError, np.linalg.LinAlgError):
+        return None, None
+    if not found:
+        return None, None
+    by_camera = [inverse(np.stack([of_block[name] for of_block in found])) for name in found[0]]
+    places_mm = [1e3 * ref_T_camera[:, :3, 3] for ref_T_camera in by_camera]
+    turns = [Rotation.from_matrix(ref_T_camera[:, :3, :3]) for ref_T_camera in by_camera]
+    turns_deg = [np.rad2deg((of_camera.mean().inv() * of_camera).as_rotvec()) for of_camera in turns]
+    scale = (len(found) - 1) / np.sqrt(len(found))
+    mm, deg = (float(scale * np.max([values.std(axis=0) for values in of])) for of in (places_mm, turns_deg))
+    return mm, deg
 
 
 def as_calibration(method: str, estimate: Estimate, joint: Calibration) -> Calibration:
@@ -172,27 +243,36 @@ def as_calibration(method: str, estimate: Estimate, joint: Calibration) -> Calib
     )
 
 
-def _compared(
-    method: str, calibration: Calibration, joint: Calibration, lollypop: LollypopRecording | None, duration_s: float
-) -> Compared:
-    assert joint.solution is not None
-    differences = [
-        pose_difference(inverse(camera.camera_T_ref.a_T_b), inverse(joint.cameras[name].camera_T_ref.a_T_b))
-        for name, camera in calibration.cameras.items()
-    ]
-    lengths = np.concatenate(
-        [norms(chain_residuals_px(views, calibration.estimate)) for views in joint.solution.views.values()]
-    )
+def _compared(method: str, calibration: Calibration, judged: _Judges, duration_s: float, sigmas: _Sigmas) -> Compared:
+    assert judged.joint.solution is not None
+    views = judged.joint.solution.views.values()
+    lengths = np.concatenate([norms(chain_residuals_px(of_camera, calibration.estimate)) for of_camera in views])
     finite = lengths[np.isfinite(lengths)]
+    difference_mm, difference_deg = _farthest(calibration.estimate.camera_T_ref, judged.joint.estimate.camera_T_ref)
+    truth_mm, truth_deg = (
+        (None, None)
+        if judged.truth is None
+        else _farthest(calibration.estimate.camera_T_ref, judged.truth.camera_T_ref)
+    )
     return Compared(
         method,
         calibration,
         float(np.sqrt((finite**2).mean())),
-        None if lollypop is None else lollypop_rmse_px(lollypop, calibration),
-        max(mm for mm, _ in differences),
-        max(deg for _, deg in differences),
+        None if judged.lollypop is None else lollypop_rmse_px(judged.lollypop, calibration),
+        difference_mm,
+        difference_deg,
         duration_s,
+        "",
+        *sigmas,
+        truth_mm,
+        truth_deg,
     )
+
+
+def _farthest(found: Mapping[str, FloatArray], others: Mapping[str, FloatArray]) -> tuple[float, float]:
+    """The largest difference of a camera's pose, in mm and deg."""
+    differences = [pose_difference(inverse(pose), inverse(others[name])) for name, pose in found.items()]
+    return max(mm for mm, _ in differences), max(deg for _, deg in differences)
 
 
 def lollypop_rmse_px(lollypop: LollypopRecording, calibration: Calibration) -> float:

@@ -9,9 +9,10 @@ import signal
 import sys
 import threading
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext, redirect_stdout
 from importlib import import_module
 from importlib.metadata import version
+from pathlib import Path
 
 COMMANDS = {
     "demo": "render small recordings, calibrate, verify, and compare with the truth",
@@ -32,6 +33,7 @@ COMMANDS = {
     "detect": "find the board in a recording's images, and keep the corners",
     "simulate": "simulate a recording with known ground truth",
     "schema": "print the JSON schema of a recording's manifest",
+    "completion": "print the script that makes bash, zsh or fish complete gtcal's commands and options",
 }
 """Every command, a function of this name in the module of this name, and what it does."""
 
@@ -100,6 +102,15 @@ def _ending_in_words() -> Iterator[None]:
         signal.signal(signal.SIGTERM, before)
 
 
+def _words_beside_data(arguments: Sequence[str]) -> AbstractContextManager[object]:
+    """Where an output goes to /dev/stdout, what is shown goes to stderr: who reads the output wants nothing else."""
+    from gtcal.files import is_standard_output
+
+    values = [argument.partition("=")[2] if argument.startswith("--") else argument for argument in arguments]
+    to_stdout = any(value and is_standard_output(Path(value)) for value in values)
+    return redirect_stdout(sys.stderr) if to_stdout else nullcontext()
+
+
 def _warn_on_stderr() -> None:
     """What is logged, in single lines."""
     from gtcal.plain import OneLine
@@ -119,7 +130,7 @@ def _run(command: str, arguments: list[str]) -> int:
     _warn_on_stderr()
     function = getattr(import_module(f"gtcal.cli.{command}"), command)
     try:
-        with _ending_in_words():
+        with _ending_in_words(), _words_beside_data(arguments):
             code = tyro.cli(function, prog=f"gtcal {command}", args=arguments)
             sys.stdout.flush()
     except GtcalError as error:

@@ -144,7 +144,7 @@ def calibrate(
         pnp_views: At most this many views per camera guide stages 1 and 2; stage 3 takes all.
         seed: Of the random starting rotations of stage 1.
         allow_degenerate: Solve even where the motion cannot determine the result.
-        verbose: Print the stages, and what was left out and why.
+        verbose: Print the distortion with its sigmas, the stages, and what was left out and why.
         quiet: Show no progress and print nothing.
     """
     from gtcal.cli.progress import shown_progress

@@ -31,7 +31,8 @@ def compare(
     The paper's three stages without the mocap's noise; the closed forms of Tsai-Lenz, Park-Martin and Shah and the
     nonlinear method of Dornaika-Horaud, all from PnP poses; Sturm's with a measured board-to-body transform; and P3P on
     retroreflective markers seen in the image. Judged by the reprojection RMSE on the board's views that the joint
-    solution keeps and, much better, by a second recording of the Lollypop.
+    solution keeps and, much better, by a second recording of the Lollypop; by the truth where ground_truth.json is
+    beside a simulated recording.
 
     Args:
         recording: Folder with the manifest (recording.yaml or recording.json), or the manifest itself.
@@ -56,6 +57,7 @@ def compare(
     from gtcal.estimation.priors_file import read_priors
     from gtcal.files import check_outputs
     from gtcal.recordings.recording import load_recording
+    from gtcal.simulation import read_ground_truth
     from gtcal.verification.lollypop_recording import load_lollypop_recording
 
     body_T_board = None
@@ -67,13 +69,15 @@ def compare(
     mode: IntrinsicsMode = "calibrate" if calibrate_intrinsics else "auto"
     options = CalibrationOptions(intrinsics=mode, clock=clock, seed=seed)
     loaded = load_recording(recording)
+    beside = _truth_beside(loaded.path)
+    truth = None if beside is None else read_ground_truth(beside.parent)
     device = load_lollypop_recording(lollypop) if lollypop is not None else None
-    read = [path for path in (measured_x, markers) if path is not None]
+    read = [path for path in (measured_x, markers, beside) if path is not None]
     check_outputs([output], (*read, *loaded.files, *(device.files if device is not None else ())))
     with shown_progress(quiet) as progress:
-        found = run(loaded, device, options, measured_body_T_board=body_T_board, progress=progress)
+        found = run(loaded, device, options, measured_body_T_board=body_T_board, truth=truth, progress=progress)
         if markers is not None:
-            found += (compare_markers(markers, loaded, found[0], device, seed=seed),)
+            found += (compare_markers(markers, loaded, found[0], device, truth=truth, seed=seed),)
     if output is not None:
         write_comparison(output, found)
     if quiet:
@@ -88,20 +92,41 @@ def compare(
         console.print(f"written: {output}", highlight=False)
 
 
+def _truth_beside(manifest: Path | None) -> Path | None:
+    """The file of the truth that lies beside the manifest of a simulated recording."""
+    from gtcal.simulation.ground_truth import GROUND_TRUTH_NAME
+
+    path = None if manifest is None else manifest.parent / GROUND_TRUTH_NAME
+    return path if path is not None and path.is_file() else None
+
+
 def _table(found: tuple[Compared, ...]) -> Table:
     from gtcal.cli.tables import new_table
 
+    with_truth = any(row.truth_mm is not None for row in found)
     table = new_table(
         "methods on the same recording",
-        caption="px: RMSE; mm, deg: how far the farthest camera is from the joint solution",
+        caption="px: RMSE; 1-sigma: the largest of a camera, by the method's covariance, of those without one by "
+        "leaving out each tenth of the frames in turn (blind to what errs alike in all frames); from joint"
+        + (", from truth" if with_truth else "")
+        + ": how far the farthest camera is off",
     )
-    for heading in ("board, px", "Lollypop, px", "mm", "deg", "s"):
+    headings = ("board, px", "Lollypop, px", "1-sigma, mm", "deg", "from joint, mm", "deg")
+    for heading in (*headings, *(("from truth, mm", "deg") if with_truth else ()), "s"):
         table.add_column(heading, justify="right")
     for row in found:
-        if row.failure:
-            table.add_row(row.method, "failed", "", "", "", f"{row.duration_s:.2f}")
-            continue
-        lollypop = "-" if row.lollypop_rmse_px is None else f"{row.lollypop_rmse_px:.3f}"
-        difference = f"{row.difference_mm:.3f}", f"{row.difference_deg:.4f}"
-        table.add_row(row.method, f"{row.board_rmse_px:.3f}", lollypop, *difference, f"{row.duration_s:.2f}")
+        table.add_row(row.method, *_cells(row, with_truth), f"{row.duration_s:.2f}")
     return table
+
+
+def _cells(row: Compared, with_truth: bool) -> list[str]:
+    if row.failure:
+        return ["failed", *[""] * (7 if with_truth else 5)]
+    mm = (row.sigma_mm, row.difference_mm, *((row.truth_mm,) if with_truth else ()))
+    deg = (row.sigma_deg, row.difference_deg, *((row.truth_deg,) if with_truth else ()))
+    pairs = zip((_shown(value, 3) for value in mm), (_shown(value, 4) for value in deg), strict=True)
+    return [_shown(row.board_rmse_px, 3), _shown(row.lollypop_rmse_px, 3), *(cell for pair in pairs for cell in pair)]
+
+
+def _shown(value: float | None, digits: int) -> str:
+    return "-" if value is None else f"{value:.{digits}f}"

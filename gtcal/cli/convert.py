@@ -43,14 +43,12 @@ def convert(
         image_size_px: Width and height of the cameras' images.
         nearest: Where a lens can't be read or written as it is, take the nearest that can.
     """
-    import sys
-
     from gtcal.camera_files.formats import FOLDER_FORMATS
     from gtcal.convert import ConvertOptions
     from gtcal.convert import convert as convert_file
-    from gtcal.files import check_outputs, is_standard_output
+    from gtcal.files import check_outputs
 
     options = ConvertOptions(name, quaternion, length_unit, time_unit, pose, model, image_size_px, nearest)
     check_outputs([output], [input], folders=to in FOLDER_FORMATS)
     done = convert_file(input, output, to, as_format=from_, options=options)
-    print(f"{done}\nwrote {output} as {to}", file=sys.stderr if is_standard_output(output) else sys.stdout)
+    print(f"{done}\nwrote {output} as {to}")

@@ -32,15 +32,13 @@ def export(
         output: File to write; for ros, ros_bag and colmap a folder.
         nearest: Where the format can't express a lens, write the nearest that it can in place of refusing.
     """
-    import sys
-
     from gtcal.camera_files.export import export_calibration
     from gtcal.camera_files.formats import FOLDER_FORMATS
-    from gtcal.files import check_outputs, fingerprint, is_standard_output
+    from gtcal.files import check_outputs, fingerprint
     from gtcal.results.calibration_file import read_calibration
 
     check_outputs([output], [calibration], folders=to in FOLDER_FORMATS)
     lost = export_calibration(
         read_calibration(calibration), output, to, nearest=nearest, source=fingerprint(calibration)
     )
-    print("\n".join([f"wrote {output}", *lost]), file=sys.stderr if is_standard_output(output) else sys.stdout)
+    print("\n".join([f"wrote {output}", *lost]))

@@ -12,7 +12,7 @@ from rich.table import Column, Table
 _LEAST_TEXT = 24
 """Text wraps, but is left this wide."""
 
-_PADDING = 2
+_PADDING, _EDGES = 2, 2
 
 
 class FoldedTable(Table):
@@ -39,7 +39,7 @@ class FoldedTable(Table):
     def _parts(self, console: Console, width: int) -> Iterator[list[Column]]:
         """The columns that stand side by side, the names first each time."""
         names, *others = self.columns
-        first = _width(console, names)
+        first = _width(console, names) + _EDGES
         here, used = [names], first
         for column in others:
             own = _width(console, column)

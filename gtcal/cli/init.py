@@ -20,7 +20,8 @@ def init(
 
     Images (folders, videos, bags, VRS), files of a mocap, lenses (ASL's sensor.yaml, Kalibr's camchain), boards
     (Kalibr's target file) and corners are found in the folder and those in it; the board's tags are looked for in some
-    images. Until each QUESTION in the draft is answered, it doesn't load, and says which one is open.
+    images. Where they show one tag alone, it is taken for a Lollypop's, and the draft is of a recording to verify with.
+    Until each QUESTION in the draft is answered, it doesn't load, and says which one is open.
 
     Args:
         folder: The folder to look at.

@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from gtcal.simulation.fault import RigFault
 
 RigName = Literal["headset", "fixed"]
+MocapFormatName = Literal["euroc_csv", "tum", "motive_csv", "vicon_csv", "rosbag"]
 CaptureName = Literal["tracked_platform", "standing_board", "fixed_cameras"]
 
 
@@ -39,6 +40,7 @@ def simulate(
     mocap_gap_share: float = 0.0,
     swap_share: float = 0.0,
     clock_offset_ms: float = 0.0,
+    mocap_format: MocapFormatName = "euroc_csv",
     intrinsics: Literal["true", "perturbed", "none"] = "true",
     lollypop: bool = False,
     take: int = 1,
@@ -83,6 +85,8 @@ def simulate(
         mocap_gap_share: Share of the mocap's samples lost in gaps of 0.25 s.
         swap_share: Share of the frames in which the mocap gives a grossly wrong pose (a marker swap).
         clock_offset_ms: The cameras' stamps run ahead of the mocap's clock by this.
+        mocap_format: What the mocap's file is: CSVs as EuRoC's, texts as TUM's, one CSV as Motive's or as Vicon Nexus',
+            or a ROS 2 bag; the manifest says how to read it.
         intrinsics: What the recording says about the lenses: the truth, wrong values, or nothing.
         lollypop: Simulate a recording of the Lollypop instead, to verify with: of the rig, and the rigid bodies on it,
             that the same rig, capture and seed give without this. Frames, duration, image scale, pixel noise and
@@ -132,7 +136,9 @@ def simulate(
     sizes = fault_mm, fault_deg, fault_percent
     if lollypop:
         happened = _fault(options, fault, fault_camera, *sizes, seed)
-        _simulate_lollypop(options, happened, output, images=images, seed=seed, take=take, quiet=quiet)
+        _simulate_lollypop(
+            options, happened, output, images=images, mocap_format=mocap_format, seed=seed, take=take, quiet=quiet
+        )
         return
     if take == 1 and fault != "none":
         raise GtcalError("a fault is what happened since the first recording: ask for another with --take 2")
@@ -142,13 +148,21 @@ def simulate(
         else simulate_take(options, seed=seed, take=take, fault=_fault(options, fault, fault_camera, *sizes, seed))
     )
     with shown_progress(quiet) as progress:
-        manifest = write_simulation(simulation, output, images=images, progress=progress)
+        manifest = write_simulation(simulation, output, images=images, mocap_format=mocap_format, progress=progress)
     if not quiet:
         print(f"{manifest}: {frames} frames of {len(cameras.cameras)} cameras; the truth is in ground_truth.json")
 
 
 def _simulate_lollypop(
-    options: SimulationOptions, fault: RigFault, output: Path, *, images: bool, seed: int, take: int, quiet: bool
+    options: SimulationOptions,
+    fault: RigFault,
+    output: Path,
+    *,
+    images: bool,
+    mocap_format: MocapFormatName,
+    seed: int,
+    take: int,
+    quiet: bool,
 ) -> None:
     from gtcal.cli.progress import shown_progress
     from gtcal.simulation.lollypop import LollypopOptions, simulate_lollypop, write_lollypop_simulation
@@ -166,7 +180,9 @@ def _simulate_lollypop(
     )
     simulation = simulate_lollypop(of_device, seed=seed_of_take(seed, take))
     with shown_progress(quiet) as progress:
-        manifest = write_lollypop_simulation(simulation, output, images=images, progress=progress)
+        manifest = write_lollypop_simulation(
+            simulation, output, images=images, mocap_format=mocap_format, progress=progress
+        )
     if not quiet:
         print(f"{manifest}: a recording of the Lollypop; try: gtcal verify calibration.json {output}")
 

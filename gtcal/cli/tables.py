@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from rich.console import Group, RenderableType
@@ -29,9 +29,13 @@ _COVARIANCES = {
 
 
 def print_calibration(calibration: Calibration, *, notes: Sequence[str] = (), verbose: bool = False) -> None:
-    """Print fit, poses and warnings; ``verbose`` adds the stages, what was left out and why, and
-    the effects that the data do not want."""
-    parts: list[RenderableType] = [fit_table(calibration), pose_table(calibration), *lens_tables(calibration)]
+    """Print fit, poses and warnings; ``verbose`` adds the distortion, the stages, what was left out and why, and the
+    effects that the data do not want."""
+    parts: list[RenderableType] = [
+        fit_table(calibration),
+        pose_table(calibration),
+        *lens_tables(calibration, verbose=verbose),
+    ]
     parts += [shape_table(calibration.board_shape)] if calibration.board_shape is not None else []
     if verbose:
         parts += [stage_table(calibration.stages), *_dropped_lines(calibration), *_lacking_lines(calibration)]
@@ -77,8 +81,9 @@ def pose_table(calibration: Calibration) -> Table:
     return table
 
 
-def lens_tables(calibration: Calibration) -> list[Table]:
-    """A row per camera whose intrinsics were solved for; no table where none were."""
+def lens_tables(calibration: Calibration, *, verbose: bool = False) -> list[Table]:
+    """A row per camera whose intrinsics were solved for, ``verbose`` with a second table of its distortion; no table
+    where none were."""
     found = {name: camera for name, camera in calibration.cameras.items() if camera.theta_covariance is not None}
     if not found:
         return []
@@ -95,7 +100,28 @@ def lens_tables(calibration: Calibration) -> list[Table]:
         assert sigmas is not None  # solved for
         numbers = (*theta[:2], sigmas[:2].max(), *theta[2:4], sigmas[2:4].max())
         table.add_row(name, *(f"{number:.2f}" for number in numbers), *_moved(camera))
-    return [table]
+    return [table, *([distortion_table(found)] if verbose else [])]
+
+
+def distortion_table(found: Mapping[str, CameraCalibration]) -> Table:
+    """A row per camera: its distortion coefficients, each with its 1-sigma."""
+    table = new_table("distortion that was solved for, ± 1-sigma")
+    names = list(dict.fromkeys(name for c in found.values() for name in c.camera.model.parameter_names[4:]))
+    for name in names:
+        table.add_column(name, justify="right")
+    for name, camera in found.items():
+        with_sigmas = camera.camera_with_sigmas
+        assert with_sigmas.theta_sigmas is not None  # solved for
+        pairs = zip(with_sigmas.theta.tolist(), with_sigmas.theta_sigmas.tolist(), strict=True)
+        of_this = dict(zip(camera.camera.model.parameter_names, pairs, strict=True))
+        table.add_row(name, *(_with_sigma(*of_this[each]) if each in of_this else "" for each in names))
+    return table
+
+
+def _with_sigma(value: float, sigma: float) -> str:
+    """To the second digit of the sigma."""
+    digits = 4 if not 0.0 < sigma < np.inf else int(np.clip(1 - np.floor(np.log10(sigma)), 2, 9))
+    return f"{value:.{digits}f} ± {sigma:.{digits}f}"
 
 
 _GROUP_LETTERS = {"focal length": "f", "principal point": "c", "distortion": "d"}

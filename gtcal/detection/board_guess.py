@@ -27,6 +27,8 @@ _FEW_IMAGES, _MOST_IMAGES = 8, 40
 # Fewer tags are read by chance in any picture.
 _FEWEST_TAGS = 3
 _SURE_TAGS, _FEWEST_TO_ARRANGE, _MOST_COLUMNS = 8, 6, 40
+# A tag alone has no others beside it to vouch for it: its id must be read in this many images, and no other as often.
+_FEWEST_SIGHTINGS = 3
 # An arrangement must place the tags this well, in units of the grid, and another one must not do so in as many images
 # and nearly as well.
 _FITS, _FITS_BETTER = 0.15, 2.0
@@ -47,6 +49,14 @@ class BoardGuess:
     columns: int | None
     rows: int | None
     first_tag_id: int = 0
+
+
+@dataclass(frozen=True)
+class LoneTag:
+    """The one tag that images show, as on a Lollypop. dictionary: OpenCV's name, the smallest that holds the id."""
+
+    dictionary: str
+    tag_id: int
 
 
 @dataclass(frozen=True)
@@ -98,6 +108,22 @@ def guess_board(images: Images) -> BoardGuess | None:
         return None
     seen = [_of(found, ids) for found in seen]
     return _described(seen, ids, family, border)
+
+
+def guess_lone_tag(images: Images) -> LoneTag | None:
+    """The one tag that some images show, evenly spread, those that can't be read left out. None where they show none,
+    or several of one dictionary.
+
+    Raises GtcalError where an image is of another size."""
+    shown = list(_whole(images, _MOST_IMAGES))
+    for dictionary, border in _codes():
+        if border == _KALIBR_BORDER:  # such tags are of grids
+            continue
+        ids = Counter(int(i) for image in shown for i in set(_read(image, dictionary, border).ids.tolist()))
+        often = [tag for tag, count in ids.items() if count >= _FEWEST_SIGHTINGS]
+        if often:
+            return LoneTag(_smallest(dictionary, often[0]), often[0]) if len(often) == 1 else None
+    return None
 
 
 def _whole(images: Images, most: int) -> Iterator[GreyImage]:

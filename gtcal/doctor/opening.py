@@ -15,7 +15,7 @@ from gtcal.doctor.lens_readings import IMAGE_SCALES, scaled_intrinsics
 from gtcal.doctor.manifest_lines import ManifestFile, line_of
 from gtcal.errors import GtcalError
 from gtcal.recordings.detection_files import stated_tags
-from gtcal.recordings.images import image_folder
+from gtcal.recordings.images import first_whole, image_folder
 from gtcal.recordings.manifest import TrajectoryEntry
 from gtcal.recordings.recording import Recording
 
@@ -196,7 +196,7 @@ def _other_sizes(file: ManifestFile, name: str) -> Iterator[Lines]:
     sizes = [(height_px, width_px)]
     if entry.images is not None:
         with suppress(GtcalError):
-            height, width = image_folder(file.path.parent / entry.images).read(0).shape[:2]
+            height, width = first_whole(image_folder(file.path.parent / entry.images)).shape
             sizes = [(width, height)]
     for size_px in [*sizes, *((round(width_px * k), round(height_px * k)) for k in IMAGE_SCALES)]:
         line = line_of(f"{where}.image_size_px", list(size_px))

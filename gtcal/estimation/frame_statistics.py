@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from factors import GAUSSIAN, RobustKernel
+from factors import GAUSSIAN, AnyKernel
 from factors.board_shape import N_SHAPE
 from factors.frames import add_views
 from factors.moments import chain
@@ -99,7 +99,7 @@ def frame_moments(
     free_theta: bool,
     free_shape: bool = False,
     frames: IntArray | None = None,
-    robust: RobustKernel = GAUSSIAN,
+    robust: AnyKernel = GAUSSIAN,
 ) -> FrameMoments:
     """The moments of the frames (all, or those at ``frames``, increasing) at the estimate and the mocap's poses.
 
@@ -142,7 +142,7 @@ def in_parts(
     sigma_px: float,
     free_theta: bool,
     free_shape: bool = False,
-    robust: RobustKernel = GAUSSIAN,
+    robust: AnyKernel = GAUSSIAN,
 ) -> Iterator[FrameMoments]:
     """The moments of the frames at ``frames``, increasing, a few hundred at a time: a frame's take up to 60 kB."""
     for part in np.array_split(frames, -(-len(frames) // _MOST_AT_ONCE)):

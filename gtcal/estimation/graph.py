@@ -9,9 +9,9 @@ import gtsam
 import numpy as np
 
 from factors import (
+    AnyKernel,
     FusedReprojectionFactor,
     PointAlignmentFactor,
-    RobustKernel,
     factory_intrinsics_prior,
     weak_intrinsics_prior,
 )
@@ -108,7 +108,7 @@ def reprojection_graph(
     estimate: Estimate,
     *,
     sigma_px: float,
-    robust: RobustKernel,
+    robust: AnyKernel,
     intrinsics_priors: Mapping[str, IntrinsicsPrior] | None,
     shape_sigmas: FloatArray | None = None,
 ) -> gtsam.NonlinearFactorGraph:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Literal, get_args
 
-from factors import GAUSSIAN, RobustKernel
+from factors import GAUSSIAN, AnyKernel, kernel_of
 from gtcal.errors import GtcalError
 from gtcal.estimation.priors import Priors
 
@@ -67,7 +67,9 @@ class CalibrationOptions:
         recording states with them, and where it states none, those of a factory's calibration
         (``gtcal.estimation.lens_sigmas``).
     board: see ``BoardMode``.
-    robust: kernel of stage 3, on the whitened norm of each corner.
+    robust: kernel of stage 3, on the whitened norm of each corner: a ``factors.RobustKernel``, the name of one
+        ('Huber', with its usual parameter), or any estimator of ``gtsam.noiseModel.mEstimator``. One's own,
+        ``mEstimator.Custom``, is called back from Python for every corner, which is slower.
     sigma_px: standard deviation of a pixel coordinate; None to estimate it from the residuals.
     mocap: what stage 4 takes for the mocap's noise: 'estimate' it from the recording, or the sigmas that are given;
         'exact': no stage 4, the mocap's poses are taken as exact.
@@ -95,7 +97,7 @@ class CalibrationOptions:
     centre_sigma_px: float | None = None
     distortion_sigma: float | None = None
     board: BoardMode = "auto"
-    robust: RobustKernel = field(default=GAUSSIAN)
+    robust: AnyKernel = field(default=GAUSSIAN)
     sigma_px: float | None = None
     mocap: MocapSigmas | MocapMode = "estimate"
     stages: tuple[int, ...] = (1, 2, 3)
@@ -114,6 +116,10 @@ class CalibrationOptions:
     segments: SegmentsMode = "none"
 
     def __post_init__(self) -> None:
+        try:
+            object.__setattr__(self, "robust", kernel_of(self.robust))
+        except ValueError as error:
+            raise GtcalError(str(error)) from None
         if not self.stages or not set(self.stages) <= {1, 2, 3} or list(self.stages) != sorted(set(self.stages)):
             raise GtcalError(f"stages: {self.stages} is not a choice of 1, 2 and 3 in their order")
         modes = {

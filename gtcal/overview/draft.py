@@ -13,17 +13,19 @@ import yaml
 
 from factors import CAMERA_MODELS
 from gtcal.board import BOARD_TYPES, PRESETS, board_from_manifest
-from gtcal.detection.board_guess import BoardGuess, guess_board
+from gtcal.detection.board_guess import BoardGuess, LoneTag, guess_board, guess_lone_tag
 from gtcal.errors import GtcalError
 from gtcal.overview.mocap_files import MocapBody
 from gtcal.overview.survey import FoundBoard, FoundCamera, Survey
 from gtcal.recordings.capture import Capture
 from gtcal.recordings.images import relative
 from gtcal.recordings.open_questions import OPEN
+from gtcal.verification.lollypop import DEVICE_PRESETS, Lollypop
 
 _WIDTH = 116
 _PLATFORM = re.compile(r"(platform|headset|hmd|rig|body|camera|cams?\b|glasses|quest|aria|vicon|mocap)")
 _BOARD = re.compile(r"(board|target|grid|april|aruco|tags?\b|checker)")
+_LOLLYPOP = re.compile(r"(lolly|lolli|wand|device_body)")
 _BODY_QUESTIONS = {
     "quaternion": "In which order are the quaternion's numbers, xyzw or wxyz? The file doesn't say.",
     "length_unit": "Are the positions in m or in mm? The file doesn't say.",
@@ -35,6 +37,7 @@ _CAPTURES = (
     "fixed_cameras (the cameras stand, the board is tracked), tracked_platform (rig or headset and board are tracked) "
     "or standing_board (rig or headset is tracked, the board stands still)"
 )
+_LOLLYPOP_CAPTURES = "fixed_cameras (the cameras stand) or tracked_platform (rig or headset is tracked too)"
 _MODELS = (
     f"Which lens model: {', '.join(CAMERA_MODELS)}? pinhole_radtan for ordinary lenses, a fisheye model for views "
     "wider than about 100 degrees."
@@ -59,15 +62,19 @@ def draft(found: Survey, manifest: Path) -> Draft:
         "it; until then the manifest does not load."
     )
     lines.put("gtcal_recording", 1)
-    roles = _roles(found.bodies)
+    shown = _shown(found)
+    roles = _roles(found.bodies, shown)
     lines.blank()
-    _write_capture(lines, roles, found.bodies)
+    _write_capture(lines, roles, found.bodies, shown)
     lines.blank()
-    _write_board(lines, found)
+    if shown.lone_tag is None:
+        _write_board(lines, found, shown.board)
+    else:
+        _write_device(lines, shown.lone_tag)
     lines.blank()
-    _write_cameras(lines, found)
-    _write_bodies(lines, roles, found.bodies)
-    _write_left(lines, found, roles)
+    _write_cameras(lines, found, shown)
+    _write_bodies(lines, roles, found.bodies, shown)
+    _write_left(lines, found)
     return Draft("\n".join(lines.text) + "\n", tuple(lines.questions))
 
 
@@ -108,45 +115,109 @@ class _Lines:
         self._within.pop()
 
 
-def _roles(bodies: Iterable[MocapBody]) -> dict[str, list[MocapBody]]:
-    """The bodies that by their names carry the cameras or the board; 'other': those whose names tell nothing."""
-    roles: dict[str, list[MocapBody]] = {"platform": [], "board_body": [], "other": []}
+@dataclass(frozen=True)
+class _Shown:
+    """What the images show: a board as far as its tags tell, or one tag alone, which is taken for a Lollypop's."""
+
+    board: BoardGuess | None
+    lone_tag: LoneTag | None
+
+    @property
+    def body(self) -> str:
+        """The manifest's field of the body that carries it."""
+        return "board_body" if self.lone_tag is None else "device_body"
+
+    @property
+    def called(self) -> str:
+        return "the board" if self.lone_tag is None else "the Lollypop"
+
+    @property
+    def captures(self) -> str:
+        return _CAPTURES if self.lone_tag is None else _LOLLYPOP_CAPTURES
+
+
+def _shown(found: Survey) -> _Shown:
+    """Of the first camera that shows a board; where none does and no file describes one, that shows a tag alone."""
+    images = [camera.images for camera in found.cameras if camera.images is not None]
+    board = next((guess for guess in map(guess_board, images) if guess is not None), None)
+    if board is not None or any(_is_valid(one) for one in found.boards):
+        return _Shown(board, None)
+    return _Shown(None, next((tag for tag in map(guess_lone_tag, images) if tag is not None), None))
+
+
+_Roles = dict[str, list[MocapBody]]
+
+
+def _roles(bodies: Iterable[MocapBody], shown: _Shown) -> _Roles:
+    """The bodies that by their names carry the cameras ('platform') or what is shown ('held'); 'other': those whose
+    names tell nothing. A board beside a Lollypop that is shown, or the other way round, is none of them."""
+    held, beside = (_BOARD, _LOLLYPOP) if shown.lone_tag is None else (_LOLLYPOP, _BOARD)
+    roles: _Roles = {"held": [], "beside": [], "platform": [], "other": []}
     for body in bodies:
         words = body.called.lower()
-        role = "board_body" if _BOARD.search(words) else "platform" if _PLATFORM.search(words) else "other"
-        roles[role].append(body)
-    return roles
+        patterns = {"held": held, "beside": beside, "platform": _PLATFORM}
+        roles[next((role for role, pattern in patterns.items() if pattern.search(words)), "other")].append(body)
+    return roles if roles["held"] else {**roles, "held": roles["beside"]}
 
 
-def _capture(roles: dict[str, list[MocapBody]]) -> Capture | None:
+def _capture(roles: _Roles, shown: _Shown) -> Capture | None:
     """What the names of the bodies tell; None where they don't."""
-    n_platforms, n_boards, n_others = (len(roles[role]) for role in ("platform", "board_body", "other"))
-    kinds = {
-        (1, 1): Capture.TRACKED_PLATFORM,
-        (0, 1): Capture.FIXED_CAMERAS,
-        (1, 0): Capture.STANDING_BOARD,
-    }
-    return None if n_others else kinds.get((n_platforms, n_boards))
+    n_platforms, n_held, n_others = (len(roles[role]) for role in ("platform", "held", "other"))
+    kinds = {(1, 1): Capture.TRACKED_PLATFORM, (0, 1): Capture.FIXED_CAMERAS}
+    if shown.lone_tag is None:
+        kinds[1, 0] = Capture.STANDING_BOARD
+    return None if n_others else kinds.get((n_platforms, n_held))
 
 
-def _write_capture(lines: _Lines, roles: dict[str, list[MocapBody]], bodies: tuple[MocapBody, ...]) -> None:
-    capture = _capture(roles)
+def _write_capture(lines: _Lines, roles: _Roles, bodies: tuple[MocapBody, ...], shown: _Shown) -> None:
+    capture = _capture(roles, shown)
     if capture is None:
         names = ", ".join(body.called for body in bodies) or "none was found"
-        lines.ask("capture", f"What was tracked: {_CAPTURES}? Tracked bodies: {names}.")
+        lines.ask("capture", f"What was tracked: {shown.captures}? Tracked bodies: {names}.")
         return
     told = " and ".join(
         f"{roles[role][0].called!r} is taken for {what}"
-        for role, what in (("platform", "what carries the cameras"), ("board_body", "the board"))
+        for role, what in (("platform", "what carries the cameras"), ("held", shown.called))
         if roles[role]
     )
     nothing_else = "" if len(bodies) > 1 else "; nothing else is tracked"
-    lines.say(f"By its name, {told}{nothing_else}. The kinds of capture: {_CAPTURES}.")
+    lines.say(f"By its name, {told}{nothing_else}. The kinds of capture: {shown.captures}.")
     lines.put("capture", capture.value)
 
 
-def _write_board(lines: _Lines, found: Survey) -> None:
-    guess = _guess(found.cameras)
+def _write_device(lines: _Lines, tag: LoneTag) -> None:
+    lines.say(
+        f"The images show one tag alone, {tag.tag_id} of {tag.dictionary}: taken for the Lollypop's, of a recording to "
+        "verify a calibration with. A recording to calibrate from shows a board: then write 'board' in place of "
+        "'device', and 'board_body' in place of 'device_body'."
+    )
+    preset = next((name for name, device in DEVICE_PRESETS.items() if _is_the_tag_of(tag, device)), None)
+    if preset is not None:
+        lines.ask(
+            "device",
+            f"Which Lollypop was shown? If it is the preset {preset} ({DEVICE_PRESETS[preset].describe()}), printed at "
+            f"100 %, and the body's origin is its markers' centroid, answer {{preset: {preset}}}; else {{dictionary: "
+            f"{tag.dictionary}, tag_id: {tag.tag_id}, tag_side_m: ..., centre_offset_m: [x, y, z]}}: the side of the "
+            "tag's black square, and where its middle is in the tracked body's frame, in m.",
+        )
+        return
+    lines.enter("device")
+    lines.put("dictionary", tag.dictionary)
+    lines.put("tag_id", tag.tag_id)
+    lines.ask("tag_side_m", "How long is the side of the tag's black square, in m? Measure it on the print.")
+    lines.ask(
+        "centre_offset_m",
+        "Where is the tag's middle in the tracked body's frame, [x, y, z] in m? [0, 0, 0] where the markers' centroid "
+        "is the tag's middle and the body's origin, as on the Lollypop.",
+    )
+    lines.leave()
+
+
+def _is_the_tag_of(tag: LoneTag, device: Lollypop) -> bool:
+    return device.dictionary == tag.dictionary and device.tag_ids.tolist() == [tag.tag_id]
+
+
+def _write_board(lines: _Lines, found: Survey, guess: BoardGuess | None) -> None:
     usable = [board for board in found.boards if _is_valid(board)]
     if len(usable) == 1:
         where = relative(usable[0].path, lines.written_in)
@@ -170,12 +241,6 @@ def _is_valid(board: FoundBoard) -> bool:
     except GtcalError:
         return False
     return True
-
-
-def _guess(cameras: Iterable[FoundCamera]) -> BoardGuess | None:
-    """From the first camera that shows the board."""
-    guesses = (guess_board(camera.images) for camera in cameras if camera.images is not None)
-    return next((guess for guess in guesses if guess is not None), None)
 
 
 def _agrees(block: dict[str, Any], guess: BoardGuess | None) -> str:
@@ -251,17 +316,17 @@ def _could_be(board: Any, guess: BoardGuess) -> bool:
     return same_tags and guess.columns in (None, columns)
 
 
-def _write_cameras(lines: _Lines, found: Survey) -> None:
+def _write_cameras(lines: _Lines, found: Survey, shown: _Shown) -> None:
     if not found.cameras:
         lines.ask("cameras", "Where are the cameras' images? None were found in this folder; see 'gtcal schema'.")
         return
     lines.enter("cameras")
     for camera in found.cameras:
-        _write_camera(lines, camera)
+        _write_camera(lines, camera, to_verify=shown.lone_tag is not None)
     lines.leave()
 
 
-def _write_camera(lines: _Lines, camera: FoundCamera) -> None:
+def _write_camera(lines: _Lines, camera: FoundCamera, *, to_verify: bool) -> None:
     lines.say(
         camera.what + ("" if camera.lens_from is None else f"; the lens is that of {lines.path(camera.lens_from)}")
     )
@@ -269,8 +334,10 @@ def _write_camera(lines: _Lines, camera: FoundCamera) -> None:
     if "model" in camera.fields:
         lines.put("model", camera.fields["model"])
     else:
-        lines.ask("model", _MODELS)
-    if "parameters" not in camera.fields and "parameters" not in camera.asked:
+        lines.ask("model", _MODELS + (" The one that it was calibrated with." if to_verify else ""))
+    if to_verify:
+        lines.say("The intrinsics are the calibration's.")
+    elif "parameters" not in camera.fields and "parameters" not in camera.asked:
         lines.say(
             "No intrinsics were found: 'gtcal calibrate --calibrate-intrinsics' finds them, or state 'parameters'."
         )
@@ -288,17 +355,21 @@ def _write_camera(lines: _Lines, camera: FoundCamera) -> None:
 _PATH_FIELDS = ("images", "image_list", "video", "bag", "vrs")
 
 
-def _write_bodies(lines: _Lines, roles: dict[str, list[MocapBody]], bodies: tuple[MocapBody, ...]) -> None:
+def _write_bodies(lines: _Lines, roles: _Roles, bodies: tuple[MocapBody, ...], shown: _Shown) -> None:
     """Those that the capture needs; where that is open, a question for each kind that could be."""
-    capture = _capture(roles)
+    capture = _capture(roles, shown)
     if capture is not None:
         for role in capture.bodies:
-            _write_body(lines, role, roles[role][0])
+            if role == "platform":
+                _write_body(lines, role, roles["platform"][0])
+            else:
+                _write_body(lines, shown.body, roles["held"][0])
         return
     choices = "; ".join(_flow(lines, body) for body in bodies) or "none was found"
-    for role, what in (("platform", "carries the cameras"), ("board_body", "carries the board")):
+    for role, what in (("platform", "carries the cameras"), (shown.body, f"carries {shown.called}")):
         lines.blank()
-        lines.ask(role, f"Which tracked body {what}? One of: {choices}. Leave this field out where nothing does.")
+        leave_out = "" if role == "device_body" else " Leave this field out where nothing does."
+        lines.ask(role, f"Which tracked body {what}? One of: {choices}.{leave_out}")
 
 
 def _flow(lines: _Lines, body: MocapBody) -> str:
@@ -326,7 +397,7 @@ def _seconds(body: MocapBody) -> str:
     return "" if body.span_ns is None else f" over {(body.span_ns[1] - body.span_ns[0]) * 1e-9:.1f} s"
 
 
-def _write_left(lines: _Lines, found: Survey, roles: dict[str, list[MocapBody]]) -> None:
+def _write_left(lines: _Lines, found: Survey) -> None:
     """What doesn't fit together, and what was left aside."""
     notes = [*_times_apart(found), *(f"Left aside: {line}" for line in found.left)]
     if notes:

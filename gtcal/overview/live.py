@@ -26,6 +26,7 @@ from gtcal.estimation.residuals import select_views
 from gtcal.estimation.solver import calibrate_observations
 from gtcal.recordings.detections import CameraDetections, IntArray
 from gtcal.recordings.images import Images
+from gtcal.recordings.manifest import find_manifest, read_manifest
 from gtcal.recordings.recording import Recording, load_recording
 from gtcal.results.calibration import Calibration
 from gtcal.results.covariance import NAIVE
@@ -93,9 +94,8 @@ class Look:
 def watch(folder: Path, enough: Enough | None = None, *, poll_s: float = _POLL_S) -> Iterator[Look]:
     """A look at the recording as it is, and another whenever a file has changed; without end.
 
-    Raises GtcalError where there is no such folder or file."""
-    if not folder.exists():
-        raise GtcalError(f"{folder}: no such file or folder")
+    Raises GtcalError where there is no manifest of a recording of a board, which is written before all else."""
+    read_manifest(find_manifest(folder))
     watcher, before = Watcher(folder, enough or Enough()), None
     while True:
         now = _state_of(folder)

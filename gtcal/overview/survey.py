@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -166,11 +167,11 @@ def _lists_images(path: Path) -> bool:
 
 
 def _sized(fields: dict[str, Any], images_in: Path) -> dict[str, Any]:
-    first = next(path for path in sorted(images_in.iterdir()) if path.suffix.lower() in IMAGE_SUFFIXES)
-    try:
-        return {"image_size_px": list(read_grey(first).shape[::-1]), **fields}
-    except GtcalError:
-        return fields
+    for path in sorted(images_in.iterdir()):
+        if path.suffix.lower() in IMAGE_SUFFIXES:
+            with suppress(GtcalError):
+                return {"image_size_px": list(read_grey(path).shape[::-1]), **fields}
+    return fields
 
 
 def _without_path(error: GtcalError, path: Path) -> str:

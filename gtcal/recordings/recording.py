@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -18,7 +18,8 @@ from gtcal.camera_files.rig import ReadOptions, Rig, RigCamera, agreeing
 from gtcal.camera_files.ros import plain_name
 from gtcal.errors import GtcalError
 from gtcal.files import InputFile, check_regular, fingerprint
-from gtcal.readers import TRAJECTORY_READERS, write_euroc_csv
+from gtcal.readers import TRAJECTORY_READERS
+from gtcal.readers.mocap_exports import EXPORT_WRITERS, MocapFormat
 from gtcal.recordings.bag_images import bag_images
 from gtcal.recordings.capture import Capture, RefMotion
 from gtcal.recordings.detection_files import read_detections, write_detections
@@ -145,20 +146,16 @@ def recording_of(manifest_path: Path, manifest: Manifest) -> Recording:
     )
 
 
-def write_recording(recording: Recording, folder: Path | str) -> Path:
+def write_recording(recording: Recording, folder: Path | str, *, mocap_format: MocapFormat = "euroc_csv") -> Path:
     """Write a recording so that ``load_recording`` gives the same back: detections and trajectories with every
     digit beside the manifest, whose path is returned. Images stay where they are and are pointed to. The manifest
     comes last: before it is there, the folder is no recording.
 
-    Raises GtcalError where the folder can't be written."""
+    Raises GtcalError where the folder can't be written, or the format can't hold the trajectories."""
     folder = Path(folder)
     for name, detections in recording.detections.items():
         write_detections(folder / detections_name(name), detections)
-    for name, trajectory in recording.motion.trajectories.items():
-        write_euroc_csv(folder / f"{name}.csv", trajectory)
-    bodies = {
-        name: TrajectoryEntry(trajectory=f"{name}.csv", format="euroc_csv") for name in recording.motion.trajectories
-    }
+    bodies = body_entries(folder, recording.motion.trajectories, mocap_format)
     manifest = Manifest(
         gtcal_recording=1,
         capture=recording.capture.value,
@@ -173,6 +170,24 @@ def write_recording(recording: Recording, folder: Path | str) -> Path:
     )
     write_manifest(folder / MANIFEST_NAMES[0], manifest)
     return folder / MANIFEST_NAMES[0]
+
+
+def body_entries(
+    folder: Path, bodies: Mapping[str, Trajectory], mocap_format: MocapFormat = "euroc_csv"
+) -> dict[str, TrajectoryEntry]:
+    """Write tracked bodies into the folder; the entries of a manifest there, by body.
+
+    Raises GtcalError where they can't be written, or the format can't hold them."""
+    return {
+        name: TrajectoryEntry(
+            trajectory=written.file,
+            format=mocap_format,
+            name=written.selection.name,
+            rotation=written.selection.rotation,
+            stamp_offset_ns=written.selection.stamp_offset_ns,
+        )
+        for name, written in EXPORT_WRITERS[mocap_format](folder, bodies).items()
+    }
 
 
 class Loader:

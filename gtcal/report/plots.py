@@ -83,6 +83,15 @@ def draw_bins(
     bar.ax.yaxis.set_minor_formatter(NullFormatter())
 
 
+def beyond(values: FloatArray, low: float, high: float, unit: str) -> str:
+    """What to say under a histogram of the values (N,) that its axis, from low to high, does not show."""
+    outside = values[(values < low) | (values > high)]
+    if not len(outside):
+        return ""
+    farthest = outside[np.argmax(np.abs(outside))]
+    return f" Beyond the axis: {len(outside)} of {len(values):,}, up to {farthest:.3g} {unit}."
+
+
 def count_scale(counts: FloatArray) -> Normalize:
     """Colours for counts: even ones for few, else by their logarithm."""
     most = float(counts.max())

@@ -12,6 +12,7 @@ from gtcal.report.evidence import CameraEvidence
 from gtcal.report.pictures import BLUE, INK, SEQUENTIAL, VERMILION, Picture, picture, styled_figure
 from gtcal.report.plots import (
     LEAST_SPAN_PX,
+    beyond,
     bin_sums,
     binned_quantiles,
     count_scale,
@@ -24,10 +25,10 @@ from gtcal.report.plots import (
     middles,
     vector_scatter,
 )
+from gtcal.uncertainty.coverage import CELLS_ACROSS, image_coverage
 
 _MOST_ANGLES = 300_000
 _BINS_ACROSS = 14
-_COVERAGE_BINS_ACROSS = 20
 _FEWEST_IN_BIN = 8
 _MOST_MARKS_IN_TIME = 400
 PALE = LinearSegmentedColormap.from_list("pale", ["#ffffff", "#f4d9a6"])
@@ -178,14 +179,15 @@ def histogram(evidence: CameraEvidence) -> Picture:
         return picture(
             figure,
             "Histogram",
-            "Line: Gaussian noise with the same median. A longer tail is blur, wrong corners or a wrong model.",
+            "Line: Gaussian noise with the same median. A longer tail is blur, wrong corners or a wrong model."
+            + beyond(lengths_px, 0.0, top_px, "px"),
         )
 
 
 def coverage(evidence: CameraEvidence) -> Picture:
     """Corners over the image: where nothing was seen, nothing is known of the lens."""
     camera, corners_px = evidence.camera, evidence.corners_px
-    x_edges, y_edges = image_bins(camera, _COVERAGE_BINS_ACROSS)
+    x_edges, y_edges = image_bins(camera, CELLS_ACROSS)
     counts = bin_sums(corners_px, x_edges, y_edges)
     with styled_figure() as figure:
         axes = image_axes(figure, camera)
@@ -194,11 +196,11 @@ def coverage(evidence: CameraEvidence) -> Picture:
         return picture(
             figure,
             "Coverage of the image",
-            f"{covered_share(evidence):.0%} of the image's bins hold corners; white has none. Cross: principal point.",
+            f"{covered_share(evidence):.0%} of the cells that the lens can see hold corners; white has none. Cross: "
+            "principal point.",
         )
 
 
 def covered_share(evidence: CameraEvidence) -> float:
-    """Share of the image's bins, 20 across, that hold a corner that was used."""
-    counts = bin_sums(evidence.corners_px, *image_bins(evidence.camera, _COVERAGE_BINS_ACROSS))
-    return float(np.mean(counts > 0))
+    """Share of the image's cells that the lens can see that hold a corner that was used: those of ``coverage``."""
+    return image_coverage(evidence.camera, evidence.corners_px, across=CELLS_ACROSS).share

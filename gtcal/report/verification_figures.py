@@ -14,6 +14,7 @@ from gtcal.camera import Camera, FloatArray
 from gtcal.report.pictures import BLUE, INK, MUTED, VERMILION, Picture, picture, styled_figure
 from gtcal.report.plots import (
     LEAST_SPAN_PX,
+    beyond,
     count_scale,
     draw_arrows,
     draw_bins,
@@ -42,7 +43,7 @@ CLASS_COLOURS = {
     ErrorClass.MAGENTA: "#8b1c8a",
 }
 _CLASS_HATCHES = {ErrorClass.YELLOW: "...", ErrorClass.RED: "///", ErrorClass.MAGENTA: "xxx"}
-_CELL_EDGE, _ON_YELLOW = "#5c687588", "#c9b458"
+_CELL_EDGE, _ON_YELLOW, _SHOWN = "#5c687588", "#c9b458", "#e3e7eb"
 _FEWEST_FOR_ARROW = 3
 _MOST_DOTS = 600
 _CURVE_LABELS = {
@@ -56,23 +57,37 @@ def verification_pictures(
     found: CameraVerification, camera: Camera, sightings: Sightings | None, options: VerificationOptions
 ) -> tuple[Picture, ...]:
     """All figures of one camera; those of single sightings where there are any in memory."""
-    shown = [heat_map(found.heat_map, camera), mean_errors(found.heat_map, camera), curves(found.curves, options)]
+    shown = [heat_map(found, camera, options), mean_errors(found.heat_map, camera), curves(found.curves, options)]
     if sightings is not None and len(sightings) > 0:
         shown.append(over_time(sightings, options))
         shown.append(vector_scatter(sightings.errors_px, "Error scatter", "Image centre less mocap centre", "sighting"))
     return tuple(shown)
 
 
-def heat_map(found: HeatMap, camera: Camera) -> Picture:
-    """e_2D over the image in the paper's colours."""
+def heat_map(found: CameraVerification, camera: Camera, options: VerificationOptions) -> Picture:
+    """e_2D over the image in the paper's colours, on the cells that its coverage counts."""
+    shape = (2 * options.coverage_rows, 2 * options.coverage_columns)
+    caption = "RMSE of e_2D per bin of the image; white: the device was not shown there."
     with styled_figure() as figure:
-        draw_heat_map(image_axes(figure, camera), found)
+        axes = image_axes(figure, camera)
+        if found.heat_map.count.shape == shape:
+            _draw_shown(axes, found.heat_map)
+            caption += (
+                f" Grey: the cells, of two by two bins, in which it was shown: {found.coverage:.0%} of those that the "
+                "lens can see."
+            )
+        draw_heat_map(axes, found.heat_map)
         class_legend(figure)
-        return picture(
-            figure,
-            "Lollypop heat map",
-            "RMSE of e_2D per bin of the image; white: the device was not shown there.",
-        )
+        return picture(figure, "Lollypop heat map", caption)
+
+
+def _draw_shown(axes: Axes, found: HeatMap) -> None:
+    """Shade the cells of two by two bins that hold a sighting."""
+    counts, _ = _coarser(found)
+    x_edges, y_edges = _every_second(found.x_edges_px), _every_second(found.y_edges_px)
+    for column, row in np.argwhere(counts > 0):
+        width, height = x_edges[column + 1] - x_edges[column], y_edges[row + 1] - y_edges[row]
+        axes.add_patch(Rectangle((x_edges[column], y_edges[row]), width, height, facecolor=_SHOWN, linewidth=0))
 
 
 def draw_heat_map(axes: Axes, found: HeatMap, *, counts: bool = False) -> None:
@@ -199,14 +214,15 @@ def triangulation(check: TriangulationCheck) -> Picture:
     edges = np.linspace(-limit_mm, limit_mm, 41)
     with styled_figure() as figure:
         upper, lower = figure.subplots(2, 1)
-        upper.hist(np.clip(check.depth_mm, -limit_mm, limit_mm), edges, color=BLUE, alpha=0.7)
+        upper.hist(check.depth_mm, edges, color=BLUE, alpha=0.7)
         upper.axvline(0.0, color=INK, linewidth=0.7)
         upper.set(xlabel="depth error, mm (positive: farther)", ylabel="count")
-        lower.hist(np.clip(check.across_mm, 0.0, limit_mm), edges[20:], color=MUTED, alpha=0.8)
+        lower.hist(check.across_mm, edges[20:], color=MUTED, alpha=0.8)
         lower.set(xlabel="error across the line of sight, mm", ylabel="count")
         return picture(
             figure,
             "Triangulated centre",
-            f"Where two or more cameras see a face at once ({len(check.stamps_ns)} times); the last bins hold what is "
-            "beyond.",
+            f"Where two or more cameras see a face at once ({len(check.stamps_ns)} times)."
+            + beyond(check.depth_mm, -limit_mm, limit_mm, "mm")
+            + beyond(check.across_mm, 0.0, limit_mm, "mm"),
         )

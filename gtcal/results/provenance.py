@@ -10,6 +10,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
+from factors import CalledBackKernel
 from gtcal.differences.difference import DifferenceOptions
 from gtcal.estimation.options import CalibrationOptions
 from gtcal.files import InputFile
@@ -48,4 +49,6 @@ def _plain(options: Options) -> dict[str, Any]:
 
 
 def _as_fields(value: Any) -> Any:
+    if isinstance(value, CalledBackKernel):
+        return {"name": value.name, "called_back": True}
     return asdict(value) if is_dataclass(value) and not isinstance(value, type) else value

@@ -12,6 +12,7 @@ from factors.rigid import inverse
 from gtcal.camera import Camera, FloatArray
 from gtcal.errors import GtcalError
 from gtcal.progress import Progress, silent
+from gtcal.readers.mocap_exports import MocapFormat
 from gtcal.recordings.capture import Capture
 from gtcal.recordings.detections import CameraDetections
 from gtcal.results.calibration import (
@@ -148,7 +149,12 @@ def growing_fault(options: LollypopOptions, n_recordings: int, *, seed: int) -> 
 
 
 def write_lollypop_simulation(
-    simulation: LollypopSimulation, folder: Path | str, *, images: bool, progress: Progress = silent
+    simulation: LollypopSimulation,
+    folder: Path | str,
+    *,
+    images: bool,
+    mocap_format: MocapFormat = "euroc_csv",
+    progress: Progress = silent,
 ) -> Path:
     """Write a simulated recording into an empty or new folder and return its manifest: with rendered images in place
     of detections where ``images``.
@@ -163,7 +169,7 @@ def write_lollypop_simulation(
             raise GtcalError("images are rendered of devices with one face only; simulate detections")
         sequences = film(simulation.world, folder / "images", progress)
         recording = replace(recording, detections={}, images=sequences)
-    return write_lollypop_recording(recording, folder)
+    return write_lollypop_recording(recording, folder, mocap_format=mocap_format)
 
 
 def exact_calibration(

@@ -9,6 +9,7 @@ import numpy as np
 
 from gtcal.errors import GtcalError
 from gtcal.progress import Progress, silent
+from gtcal.readers.mocap_exports import MocapFormat
 from gtcal.recordings.recording import write_recording
 from gtcal.simulation.filming import film
 from gtcal.simulation.ground_truth import write_ground_truth
@@ -16,7 +17,14 @@ from gtcal.simulation.simulate import Simulation
 from gtcal.simulation.truth import GroundTruth
 
 
-def write_simulation(simulation: Simulation, folder: Path | str, *, images: bool, progress: Progress = silent) -> Path:
+def write_simulation(
+    simulation: Simulation,
+    folder: Path | str,
+    *,
+    images: bool,
+    mocap_format: MocapFormat = "euroc_csv",
+    progress: Progress = silent,
+) -> Path:
     """Write a simulated recording into an empty or new folder and return its manifest: with rendered images in
     place of detections where ``images``, else with the simulated detections. ``ground_truth.json`` is beside it.
 
@@ -29,7 +37,7 @@ def write_simulation(simulation: Simulation, folder: Path | str, *, images: bool
         recording = replace(recording, detections={}, images=sequences)
         truth = _without_detections(truth)
     write_ground_truth(truth, folder)
-    return write_recording(recording, folder)
+    return write_recording(recording, folder, mocap_format=mocap_format)
 
 
 def check_empty(folder: Path) -> None:

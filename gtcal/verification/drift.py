@@ -7,6 +7,7 @@ import io
 import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
+from itertools import combinations
 from pathlib import Path
 from typing import Any, Literal
 
@@ -18,6 +19,8 @@ from gtcal.errors import GtcalError
 from gtcal.files import InputFile, write_text
 from gtcal.plain import csv_cell
 from gtcal.progress import Progress, silent
+from gtcal.recordings.detections import CameraDetections
+from gtcal.recordings.images import Images
 from gtcal.results.calibration import Calibration, Provenance
 from gtcal.verification.lollypop_recording import LollypopRecording
 from gtcal.verification.verdict import overall_verdict
@@ -88,9 +91,10 @@ def verify_series(
 ) -> Drift:
     """Verify one calibration with several recordings, given with their names in the order in which they were taken.
 
-    Raises GtcalError as ``verify`` does, naming the recording, or where there is none."""
+    Raises GtcalError as ``verify`` does, naming the recording; where there is none, or one is given twice."""
     if not recordings:
         raise GtcalError("there are no recordings to verify with; give one or more")
+    _check_distinct(recordings)
     options = options or VerificationOptions()
     verifications = []
     for done, (name, recording) in enumerate(recordings):
@@ -102,6 +106,27 @@ def verify_series(
     progress("verifying", len(recordings), len(recordings))
     drift = Drift(tuple(name for name, _ in recordings), tuple(verifications), (), options)
     return Drift(drift.names, drift.verifications, _trends(drift), options)
+
+
+def _check_distinct(recordings: Sequence[tuple[str, LollypopRecording]]) -> None:
+    """By what was recorded, whatever the folder is called: the same twice would count as two of a series."""
+    for (first, one), (second, other) in combinations(recordings, 2):
+        if _stamps_of(one) == _stamps_of(other) and _same_motion(one, other):
+            raise GtcalError(
+                f"{second}: is the same recording as {first}: the same images, and the same motion of the Lollypop; "
+                "give each recording once"
+            )
+
+
+def _same_motion(one: LollypopRecording, other: LollypopRecording) -> bool:
+    a, b = one.device_body, other.device_body
+    return np.array_equal(a.stamps_ns, b.stamps_ns) and np.array_equal(a.world_T_body, b.world_T_body)
+
+
+def _stamps_of(recording: LollypopRecording) -> dict[str, list[int]]:
+    """When each camera saw something."""
+    seen: dict[str, CameraDetections | Images] = {**recording.images, **recording.detections}
+    return {name: of_camera.stamps_ns.tolist() for name, of_camera in seen.items()}
 
 
 def _statistics(found: Verification, camera: str, unit: Literal["px", "mm"]) -> ErrorStatistics | None:
@@ -166,7 +191,7 @@ def write_drift_csv(path: Path, drift: Drift) -> None:
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(_COLUMNS.split(","))
     for name, found in zip(drift.names, drift.verifications, strict=True):
-        finding = "; ".join(fault.sentence for fault in found.faults)
+        finding = csv_cell("; ".join(fault.sentence for fault in found.faults))
         for camera in found.cameras.values():
             px, mm = camera.px, camera.mm
             numbers = (px.rmse, px.rmse_low, px.rmse_high, px.p95, px.worst, mm.rmse, mm.rmse_low, mm.rmse_high)

@@ -16,7 +16,7 @@ from gtcal.documents import load_plain_yaml, read_text
 from gtcal.errors import GtcalError
 from gtcal.files import InputFile, fingerprint
 from gtcal.progress import Progress, silent
-from gtcal.readers import write_euroc_csv
+from gtcal.readers.mocap_exports import MocapFormat
 from gtcal.recordings.capture import Capture, RefMotion
 from gtcal.recordings.detection_files import write_detections
 from gtcal.recordings.detections import CameraDetections
@@ -37,7 +37,7 @@ from gtcal.recordings.manifest import (
     validated,
     write_manifest,
 )
-from gtcal.recordings.recording import Loader, camera_entry, detections_name, files_of, notes_of
+from gtcal.recordings.recording import Loader, body_entries, camera_entry, detections_name, files_of, notes_of
 from gtcal.recordings.trajectory import Trajectory
 from gtcal.verification.lollypop import Lollypop, device_from_manifest, device_manifest_schema
 
@@ -167,7 +167,9 @@ def load_lollypop_recording(path: Path | str) -> LollypopRecording:
     )
 
 
-def write_lollypop_recording(recording: LollypopRecording, folder: Path | str) -> Path:
+def write_lollypop_recording(
+    recording: LollypopRecording, folder: Path | str, *, mocap_format: MocapFormat = "euroc_csv"
+) -> Path:
     """Write a recording so that ``load_lollypop_recording`` gives the same back, as ``write_recording`` does for one
     of a board. Returns the manifest's path.
 
@@ -175,12 +177,9 @@ def write_lollypop_recording(recording: LollypopRecording, folder: Path | str) -
     folder = Path(folder)
     for name, detections in recording.detections.items():
         write_detections(folder / detections_name(name), detections)
-    trajectories = {"device_body": recording.device_body, "platform": recording.platform}
-    bodies = {}
-    for name, trajectory in trajectories.items():
-        if trajectory is not None:
-            write_euroc_csv(folder / f"{name}.csv", trajectory)
-            bodies[name] = TrajectoryEntry(trajectory=f"{name}.csv", format="euroc_csv")
+    given = {"device_body": recording.device_body, "platform": recording.platform}
+    trajectories = {name: trajectory for name, trajectory in given.items() if trajectory is not None}
+    bodies = body_entries(folder, trajectories, mocap_format)
     manifest = LollypopManifest(
         gtcal_recording=1,
         capture=recording.capture.value,

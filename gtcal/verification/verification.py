@@ -78,7 +78,7 @@ class VerificationOptions:
     min_coverage: share of the image's cells (``coverage_columns`` x ``coverage_rows``, those the lens can see) with a
         sighting; a camera with less is inconclusive.
     min_parallax_deg: least angle between two cameras' rays for a triangulation.
-    heat_map_columns, heat_map_rows: bins of the heat map.
+    heat_map_columns, heat_map_rows: bins of the heat map, by default two by two to a cell of the coverage.
     false_alarm_rate: of the fault finding, over all its tests of one recording together.
     least_fault_px: a finding must move the image centre by this, RMS over the sightings it concerns; less is of no
         consequence even where it is real.
@@ -93,8 +93,8 @@ class VerificationOptions:
     min_sightings: int = 50
     min_blocks: int = 8
     min_coverage: float = 0.2
-    coverage_columns: int = 8
-    coverage_rows: int = 6
+    coverage_columns: int = 10
+    coverage_rows: int = 8
     min_parallax_deg: float = 3.0
     heat_map_columns: int = 20
     heat_map_rows: int = 16
