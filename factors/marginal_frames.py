@@ -25,7 +25,7 @@ from factors.moments import chain, triangular_factor
 from factors.noise_chain import NoiseChain
 from factors.reprojection import CornerViews, FloatArray, IntArray, Jacobians, view_moments
 from factors.rigid import exponential, pose_at, right_jacobian
-from factors.robust import GAUSSIAN, RobustKernel
+from factors.robust import GAUSSIAN, AnyKernel
 
 _AT_ONCE = 256  # frames: their moments take up to 60 kB each
 _MOST_REFINEMENTS = 8
@@ -84,7 +84,7 @@ class MarginalFramesFactor(gtsam.CustomFactor):
         correlation: FloatArray,
         body_T_board: int,
         shape: int | FloatArray = FLAT,
-        robust: RobustKernel = GAUSSIAN,
+        robust: AnyKernel = GAUSSIAN,
     ) -> None:
         n = len(measured_ref_T_body)
         if measured_ref_T_body.shape != (n, 4, 4) or noise.shape != (n, 6, 6) or correlation.shape != (n,):

@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import gtsam
 import numpy as np
 
-from factors import RobustKernel
+from factors import AnyKernel
 from factors.board_shape import N_SHAPE
 from factors.frames import CameraFrames, FramesReprojection
 from factors.marginal_frames import MarginalFramesFactor
@@ -239,7 +239,7 @@ class _Frames:
     measured: FloatArray
     cameras: list[CameraFrames]
     shape: int | FloatArray
-    robust: RobustKernel
+    robust: AnyKernel
 
     @staticmethod
     def of(views: Mapping[str, Views], estimate: Estimate, fit: MocapNoiseFit, options: CalibrationOptions) -> _Frames:
