@@ -120,7 +120,7 @@ class Finding:
 
     def sentence(self, rig: str) -> str:
         """For people."""
-        called = f"{self.camera} of {rig}"
+        called = f"{'the board' if self.camera == BOARD else self.camera} of {rig}"
         change = self.change
         if change is None or not change.significant:
             return f"{called}: its {self.what} is no longer what it was (noticed {_date(self.alarm_ns)})"
@@ -186,7 +186,7 @@ class History:
     @cached_property
     def cameras(self) -> tuple[str, ...]:
         """All that any recording has, in the order in which they first appear."""
-        names = (camera for event in self.events for camera, _ in event.measures if camera != RIG)
+        names = (camera for event in self.events for camera, _ in event.measures if camera not in (RIG, BOARD))
         return tuple(dict.fromkeys(names))
 
     @property

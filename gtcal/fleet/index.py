@@ -5,7 +5,7 @@ The schema's version is SQLite's user_version; MIGRATIONS brings an older index 
 job: a row for each record (``gtcal.fleet.record.Record``), its provenance with it; the current one of several that
     were made of the same recording is in the view ``current``.
 input: the files that a job was done from, with their SHA-256. measure: value and sigma by camera ('' for the rig) and
-    quantity, whose name ends with its unit. pose: camera_T_ref by camera and body_T_board ('board'), as JSON, row by
+    quantity, whose name ends with its unit. pose: camera_T_ref by camera and body_T_board ('body/board'), as JSON, row by
     row, m, covariances as in calibration.json. remark: findings and warnings, in order.
 """
 

@@ -16,8 +16,8 @@ from gtcal.verification.verification import CameraVerification, ErrorStatistics,
 RIG = ""
 """In place of a camera's name: of all of them together, or of the mocap."""
 
-BOARD = "board"
-"""Of what, beside the cameras, a calibration finds the pose: body_T_board."""
+BOARD = "body/board"
+"""In place of a camera's name (which no camera can have): of body_T_board, the board on its body."""
 
 
 @dataclass(frozen=True)
