@@ -45,6 +45,9 @@ READING: dict[str, tuple[list[str], str]] = {
     "simulate": ([], ""),  # a folder, which has to be new or empty
     "demo": ([], ""),  # the same
     "schema": ([], ""),  # reads nothing
+    "batch": ([], ""),  # into a store, which is new or one of gtcal's own; test_fleet.py
+    "history": ([], ""),  # of a store
+    "site": ([], ""),  # of a store, into a folder that has to be new or a site
 }
 
 

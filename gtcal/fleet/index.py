@@ -5,8 +5,8 @@ The schema's version is SQLite's user_version; MIGRATIONS brings an older index 
 job: a row for each record (``gtcal.fleet.record.Record``), its provenance with it; the current one of several that
     were made of the same recording is in the view ``current``.
 input: the files that a job was done from, with their SHA-256. measure: value and sigma by camera ('' for the rig) and
-    quantity, whose name ends with its unit. pose: camera_T_ref by camera and body_T_board ('body/board'), as JSON, row by
-    row, m, covariances as in calibration.json. remark: findings and warnings, in order.
+    quantity, whose name ends with its unit. pose: camera_T_ref by camera and body_T_board ('body/board'), as JSON, row
+    by row, m, covariances as in calibration.json. remark: findings and warnings, in order.
 """
 
 from __future__ import annotations
@@ -125,7 +125,8 @@ def insert(connection: sqlite3.Connection, record: Record, contents: Contents) -
         _insert(connection, record, contents)
         connection.execute("COMMIT")
     except BaseException:
-        connection.execute("ROLLBACK")
+        if connection.in_transaction:  # a full disk has ended it already
+            connection.execute("ROLLBACK")
         raise
 
 
