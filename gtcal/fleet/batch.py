@@ -232,7 +232,7 @@ class _Run:
             self._hand_out()
             if self._running and (finished := self._workers.next_finished(_LOOK_S)) is not None:
                 task = self._running.pop(finished.number)
-                self._keep(finished.outcome or Outcome(lost_record(task, finished.lost)))
+                self._keep(task, finished.outcome or Outcome(lost_record(task, finished.lost)))
                 self._settle(task.job)
         self._batch.not_run = [*self._queue, *(job for rig in self._waiting for job in self._waiting[rig])]
         return self._batch
@@ -256,8 +256,10 @@ class _Run:
             self._running[self._number] = task
             self._workers.submit(self._number, task)
 
-    def _keep(self, outcome: Outcome) -> None:
+    def _keep(self, task: Task, outcome: Outcome) -> None:
         if outcome.unchanged:
+            done = index.current_of(self._connection, task.job.identity)
+            self._batch.unchanged.append(Plan(task.job, False, "done before, of the same contents", done))
             return
         self._store.put(outcome)
         index.insert(self._connection, outcome.record, outcome.contents if not outcome.record.error else Contents())
