@@ -47,6 +47,7 @@ READING: dict[str, tuple[list[str], str]] = {
     "schema": ([], ""),  # reads nothing
     "batch": ([], ""),  # into a store, which is new or one of gtcal's own; test_fleet.py
     "history": ([], ""),  # of a store
+    "watch": ([], ""),  # runs on and on
     "site": ([], ""),  # of a store, into a folder that has to be new or a site
 }
 

@@ -28,6 +28,7 @@ COMMANDS = {
     "batch": "calibrate, verify and follow many recordings of many rigs, on all cores or a cluster, into one store",
     "history": "show a rig over months: what its recordings found, what is no chance, when it leaves the tolerance",
     "site": "write a static web site of a store: the fleet, each rig, the reports",
+    "watch": "verify each recording of the Lollypop in a folder as soon as it is complete, and show the verdict large",
     "diff": "compare two calibrations of one rig: what moved, what is the same, what they can't tell apart",
     "report": "show a calibration, what it rests on and its verification on one HTML page",
     "export": "write a calibration as a file of another tool: Kalibr, OpenCV, ROS, COLMAP, Aria, Pose2Sim, ...",

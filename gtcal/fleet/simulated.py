@@ -56,7 +56,7 @@ class FleetOptions:
     calibrated_every: int = 14
     harms: dict[int, Harm] = field(default_factory=dict)
     n_frames: int = 60
-    verification_frames: int = 120
+    verification_frames: int = 240
     duration_s: float = 20.0
     mocap_rate_hz: float = 100.0
     mocap: MocapNoise = field(default_factory=lambda: MocapNoise(0.05, 0.005))
