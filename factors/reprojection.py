@@ -251,16 +251,24 @@ def _residuals(
                 residuals_px[n] = math.nan
 
 
+_most_threads = os.cpu_count() or 1
+
+
+def use_threads(most: int) -> None:
+    """From now on this process works on at most so many threads. To be called before anything is computed."""
+    global _most_threads
+    _most_threads = most
+
+
 @cache
 def _threads() -> ThreadPoolExecutor:
-    return ThreadPoolExecutor(os.cpu_count(), thread_name_prefix="reprojection")
+    return ThreadPoolExecutor(_most_threads, thread_name_prefix="reprojection")
 
 
 def _tasks(view_start: IntArray) -> list[tuple[int, int]]:
     """Ranges of views with about as many corners each, no more than there are cores."""
     wanted = int(view_start[-1]) // _CORNERS_PER_TASK
-    # asking for the number of cores takes longer than a view
-    n_tasks = min(wanted, os.cpu_count() or 1) if wanted > 1 else 1
+    n_tasks = min(wanted, _most_threads) if wanted > 1 else 1
     if n_tasks == 1:
         return [(0, len(view_start) - 1)]
     bounds = np.searchsorted(view_start, np.linspace(0, view_start[-1], n_tasks + 1)[1:-1])

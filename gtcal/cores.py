@@ -11,11 +11,24 @@ from threading import Lock
 import cv2
 
 _opencv_threads = Lock()
+_most: int | None = None
+
+
+def use_cores(most: int) -> None:
+    """From now on this process uses at most so many cores, as one worker of several on a machine. To be called before
+    anything is computed; results don't depend on it."""
+    from factors.reprojection import use_threads  # loads GTSAM, which not all who ask for cores need
+
+    global _most
+    _most = most
+    cv2.setNumThreads(most)
+    use_threads(most)
 
 
 def n_cores() -> int:
     """The cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    there = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return there if _most is None else min(there, _most)
 
 
 @contextmanager

@@ -47,6 +47,10 @@ READING: dict[str, tuple[list[str], str]] = {
     "demo": ([], ""),  # the same
     "schema": ([], ""),  # reads nothing
     "completion": (["bash"], ""),  # the same
+    "batch": ([], ""),  # into a store, which is new or one of gtcal's own; test_fleet.py
+    "history": ([], ""),  # of a store
+    "watch": ([], ""),  # runs on and on
+    "site": ([], ""),  # of a store, into a folder that has to be new or a site
 }
 
 

@@ -15,14 +15,16 @@ if TYPE_CHECKING:
     from gtcal.verification.verification import Verification
 
 MOCAP_MM, MOCAP_DEG = 0.05, 0.005
+_FRAMES, _IMAGE_SCALE = 60, 0.5
 
 
 def demo(
     *,
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("gtcal-demo"),
-    frames: int = 60,
-    image_scale: float = 0.5,
+    frames: int = _FRAMES,
+    image_scale: float = _IMAGE_SCALE,
     seed: int = 1,
+    fleet: bool = False,
     quiet: Annotated[bool, tyro.conf.arg(aliases=["-q"])] = False,
 ) -> None:
     """Render two small recordings, calibrate from one, verify with the other, and compare with the truth.
@@ -38,11 +40,14 @@ def demo(
         frames: Frames per camera of the calibration's recording; the Lollypop's has two and a half times as many.
         image_scale: Size of the images as a share of 1280 x 1024.
         seed: Another number, other recordings.
+        fleet: Show instead what 'gtcal batch', 'history' and 'site' make of many recordings: of five rigs over eight
+            weeks, simulated without images; one drifts, one is bumped, a lens of one warms. Needs 'gtcal[fleet]'.
         quiet: Show no progress and print nothing.
     """
     from gtcal.cli.progress import shown_progress
     from gtcal.cli.tables import print_calibration, print_errors
     from gtcal.cli.verification_tables import print_verification
+    from gtcal.errors import GtcalError
     from gtcal.estimation.options import CalibrationOptions, MocapSigmas
     from gtcal.files import check_outputs, write_text
     from gtcal.report import gather_evidence, write_report
@@ -51,9 +56,14 @@ def demo(
     from gtcal.verification.verification_file import write_verification
     from gtcal.workflow import calibrate
 
+    if fleet and (frames, image_scale) != (_FRAMES, _IMAGE_SCALE):
+        raise GtcalError("--frames and --image-scale are of the demo with images; --fleet has no use for them")
     check_outputs([output], folders=True)
     _clear_earlier_demo(output)
     write_text(output / _MARK, "")  # before the rest, so that an interrupted demo can be run again
+    if fleet:
+        _show_fleet(output, seed, quiet)
+        return
     options = SimulationOptions(
         rig=quest3_like_rig().scaled(image_scale), n_frames=frames, mocap=MocapNoise(MOCAP_MM, MOCAP_DEG)
     )
@@ -72,6 +82,31 @@ def demo(
         print_errors(calibration, simulation.truth)
         print_verification(verification)
         print(f"report: {output / 'report.html'}   (recordings and results: {output}/)")
+
+
+def _show_fleet(folder: Path, seed: int, quiet: bool) -> None:
+    """Simulated recordings of a fleet, and all that the commands for fleets make of them."""
+    import sys
+
+    from gtcal.cli.history_tables import print_fleet
+    from gtcal.cli.progress import shown_progress
+    from gtcal.fleet.batch import run_batch
+    from gtcal.fleet.history import RUN_LENGTH, histories
+    from gtcal.fleet.jobs_file import read_jobs
+    from gtcal.fleet.simulated import demo_fleet, write_fleet
+    from gtcal.fleet.site import write_site
+    from gtcal.fleet.store import Store
+    from gtcal.fleet.workers import dask_workers
+
+    store = Store.made(folder / "store")
+    command_line = (Path(sys.argv[0]).name, *sys.argv[1:])
+    with shown_progress(quiet) as progress, store.locked(), dask_workers() as workers:
+        jobs = read_jobs(write_fleet(folder / "recordings", demo_fleet(seed), progress=progress))
+        run_batch(store, jobs, workers, command_line, progress=progress)
+        write_site(folder / "site", store, run_length=RUN_LENGTH, progress=progress)
+    if not quiet:
+        print_fleet(list(histories(store).values()))
+        print(f"recordings, store and site: {folder}/; open {folder / 'site' / 'index.html'}")
 
 
 def _recorded(simulation: Simulation, folder: Path, progress: Progress) -> Recording:

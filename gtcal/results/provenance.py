@@ -28,7 +28,7 @@ def provenance(options: Options, inputs: tuple[InputFile, ...], duration_s: floa
         created_utc=datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
         command_line=(Path(sys.argv[0]).name, *sys.argv[1:]),
         versions={"python": platform.python_version()} | {name: _version(name) for name in _LIBRARIES},
-        options=_plain(options),
+        options=plain_options(options),
         inputs=inputs,
         duration_s=duration_s,
     )
@@ -41,7 +41,7 @@ def _version(library: str) -> str:
         return "not installed as a package"
 
 
-def _plain(options: Options) -> dict[str, Any]:
+def plain_options(options: Options) -> dict[str, Any]:
     """As JSON knows it: tuples as lists."""
     fields = {name: value for name, value in vars(options).items() if name != "priors"}
     plain = {name: list(value) if isinstance(value, tuple) else _as_fields(value) for name, value in fields.items()}

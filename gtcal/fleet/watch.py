@@ -1,0 +1,156 @@
+"""The station at the capture volume: each recording of the Lollypop is verified as soon as it is complete."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from gtcal.errors import GtcalError
+from gtcal.fleet import index
+from gtcal.fleet.batch import run_batch
+from gtcal.fleet.jobs import Job, taken_ns_in
+from gtcal.fleet.jobs_file import TakenFrom, recordings_in, stated_by_place
+from gtcal.fleet.rebuild import catch_up
+from gtcal.fleet.record import Record
+from gtcal.fleet.store import Store
+from gtcal.fleet.workers import InThisProcess
+from gtcal.names import check_name
+from gtcal.recordings.manifest import load_fields
+from gtcal.verification.verification import VerificationOptions
+
+_WAIT_FOR_STORE_S = 30.0
+
+Snapshot = tuple[tuple[str, int, int], ...]
+"""Of a recording's folder: every file in it with its size and time, by name."""
+
+
+@dataclass(frozen=True)
+class Seen:
+    """A recording that was verified, or could not be. remarks: what there is to say. waited_s: from when its files
+    ceased to grow."""
+
+    record: Record
+    remarks: tuple[str, ...]
+    waited_s: float
+
+
+@dataclass
+class Station:
+    """What is watched, and what is known of it.
+
+    rig: of all recordings; None where the folders below say it. calibration: to verify; None for the rig's accepted one
+    in the store. settle_s: so long no file of a recording may have grown."""
+
+    folder: Path
+    store: Store
+    options: VerificationOptions
+    command_line: tuple[str, ...]
+    rig: str | None = None
+    calibration: Path | None = None
+    taken_from: TakenFrom = "stamps"
+    settle_s: float = 2.0
+    _growing: dict[Path, tuple[Snapshot, float]] = field(default_factory=dict)
+    _settled: dict[Path, Snapshot] = field(default_factory=dict)
+
+    def completed(self) -> Iterator[tuple[Path, float]]:
+        """The manifests of recordings that have become complete, and for how long they have not grown, s; each once,
+        and again where its files have changed since."""
+        now = time.monotonic()
+        for manifest in recordings_in(self.folder):
+            seen = snapshot(manifest.parent)
+            if self._settled.get(manifest) == seen:
+                continue
+            before, since = self._growing.get(manifest, ((), now))
+            if before != seen:
+                self._growing[manifest] = seen, now
+            elif now - since >= self.settle_s:
+                self._settled[manifest] = seen
+                if _is_lollypop(manifest):
+                    yield manifest, now - since
+
+    @property
+    def waits(self) -> bool:
+        """Whether a recording is there that may still be growing."""
+        return any(self._settled.get(manifest) != seen for manifest, (seen, _) in self._growing.items())
+
+    def verify(self, manifest: Path, idle_s: float) -> Seen | None:
+        """Verify a recording into the store; None where that was done before, and nothing has changed.
+
+        Raises GtcalError where the store can't be written."""
+        began = time.monotonic()
+        job = self._job(manifest)
+        with _locked(self.store):
+            with index.opened_index(self.store.index_path) as connection:
+                catch_up(self.store, connection)
+            found = run_batch(self.store, [job], InThisProcess(), self.command_line)
+            if not found.ended:
+                return None
+            remarks = _remarks(self.store, job)
+        return Seen(found.ended[0], remarks, idle_s + time.monotonic() - began)
+
+    def _job(self, manifest: Path) -> Job:
+        place = stated_by_place(self.folder, manifest)
+        rig = self.rig or place["rig"]
+        check_name("rig", rig)
+        return Job(
+            rig=rig,
+            name=place["name"] if self.rig is None else "_".join(manifest.parent.relative_to(self.folder).parts) or rig,
+            kind="verify",
+            recordings=(manifest,),
+            options=self.options,
+            calibration=self.calibration,
+            taken_ns=taken_ns_in(manifest.parent.name) if self.taken_from == "name" else None,
+            where=str(manifest),
+        )
+
+
+def snapshot(folder: Path) -> Snapshot:
+    """Of a folder, without what is hidden in it: what gtcal keeps beside a recording is no part of it."""
+    found = []
+    for path in sorted(folder.rglob("*")):
+        if any(part.startswith(".") for part in path.relative_to(folder).parts):
+            continue
+        try:
+            status = path.stat()
+        except OSError:  # taken away in between
+            continue
+        if not path.is_dir():
+            found.append((str(path), status.st_size, status.st_mtime_ns))
+    return tuple(found)
+
+
+def _is_lollypop(manifest: Path) -> bool:
+    """Of a manifest that can't be read, too: that is told when it is verified."""
+    try:
+        return "device" in load_fields(manifest)
+    except GtcalError:
+        return True
+
+
+@contextmanager
+def _locked(store: Store) -> Iterator[None]:
+    """The store's lock, waited for while a batch holds it."""
+    until = time.monotonic() + _WAIT_FOR_STORE_S
+    with ExitStack() as stack:
+        while True:
+            try:
+                stack.enter_context(store.locked())
+                break
+            except GtcalError:
+                if time.monotonic() > until:
+                    raise
+                time.sleep(0.5)
+        yield
+
+
+def _remarks(store: Store, job: Job) -> tuple[str, ...]:
+    with index.opened_index(store.index_path) as connection:
+        rows = connection.execute(
+            "SELECT text FROM remark JOIN current ON remark.job = current.id "
+            "WHERE rig = ? AND kind = ? AND name = ? ORDER BY place",
+            job.identity,
+        )
+        return tuple(text for (text,) in rows)

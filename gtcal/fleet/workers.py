@@ -1,0 +1,176 @@
+"""Those who do the jobs: this process, the processes of a local Dask cluster, or a cluster that runs elsewhere."""
+
+from __future__ import annotations
+
+import logging
+import math
+import queue
+import signal
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Protocol
+
+from gtcal.cores import n_cores, use_cores
+from gtcal.errors import GtcalError
+from gtcal.fleet.run_job import Outcome, Task, run_task
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+RETRIES = 2
+"""How often a task is tried again elsewhere after its worker was killed, or ran out of memory."""
+
+_COUNT_EVERY_S = 1.0
+
+DoTask = Callable[[Task], Outcome]
+
+
+@dataclass(frozen=True)
+class Finished:
+    """A task that ended: with its outcome, or ``lost``, in words."""
+
+    number: int
+    outcome: Outcome | None
+    lost: str = ""
+
+
+class Workers(Protocol):
+    """Those who do tasks, several at once."""
+
+    @property
+    def n(self) -> int:
+        """How many tasks they do at once, at present."""
+
+    def submit(self, number: int, task: Task) -> None:
+        """Hand them a task, by a number of its own."""
+
+    def next_finished(self, timeout_s: float) -> Finished | None:
+        """The next task that ended; None where none does in that time."""
+
+
+class InThisProcess:
+    """One task after the other, here: for few, and to look for what is wrong."""
+
+    n = 1
+
+    def __init__(self, do: DoTask = run_task) -> None:
+        self._do, self._waiting = do, list[tuple[int, Task]]()
+
+    def submit(self, number: int, task: Task) -> None:
+        self._waiting.append((number, task))
+
+    def next_finished(self, timeout_s: float) -> Finished | None:
+        if not self._waiting:
+            return None
+        number, task = self._waiting.pop(0)
+        try:
+            return Finished(number, self._do(task))
+        except MemoryError:
+            return Finished(number, None, "it ran out of memory")
+
+
+class DaskWorkers:
+    """The workers of a Dask cluster, one task each."""
+
+    def __init__(self, client: Client, do: DoTask = run_task) -> None:
+        self._client, self._do = client, do
+        self._ended: queue.SimpleQueue[tuple[int, Task, Any]] = queue.SimpleQueue()
+        self._futures: dict[int, Any] = {}
+        self._tries: dict[int, int] = {}
+        self._n, self._counted_s = 1, -math.inf
+
+    @property
+    def n(self) -> int:
+        if time.monotonic() > self._counted_s + _COUNT_EVERY_S:  # a cluster grows and shrinks
+            self._n = max(len(self._client.scheduler_info(n_workers=-1)["workers"]), 1)
+            self._counted_s = time.monotonic()
+        return self._n
+
+    def submit(self, number: int, task: Task) -> None:
+        future = self._client.submit(self._do, task, pure=False, retries=0)
+        self._futures[number] = future  # one that nobody holds is cancelled
+        future.add_done_callback(lambda ended: self._ended.put((number, task, ended)))
+
+    def next_finished(self, timeout_s: float) -> Finished | None:
+        try:
+            number, task, future = self._ended.get(timeout=timeout_s)
+        except queue.Empty:
+            return None
+        self._futures.pop(number)
+        try:
+            return Finished(number, future.result())
+        except MemoryError:
+            self._tries[number] = self._tries.get(number, 0) + 1
+            if self._tries[number] <= RETRIES:
+                self.submit(number, task)
+                return None
+            return Finished(number, None, f"it ran out of memory, {RETRIES + 1} times")
+        except Exception as error:
+            return Finished(number, None, _words(error))
+
+
+def _words(error: Exception) -> str:
+    from distributed import KilledWorker
+
+    if isinstance(error, KilledWorker):
+        return "its workers were killed, by the system or for the memory that it took"
+    return f"its worker failed: {type(error).__name__}: {error}"
+
+
+@contextmanager
+def dask_workers(
+    *, scheduler: str | None = None, jobs: int | None = None, do: DoTask = run_task
+) -> Iterator[DaskWorkers]:
+    """Workers of the cluster at ``scheduler``, or of a local one of ``jobs`` processes (by default one a core); each
+    takes one core. On leaving, a local cluster ends.
+
+    Raises GtcalError where Dask isn't installed, or nobody answers at that address."""
+    try:
+        import dask
+        from distributed import Client, LocalCluster
+    except ImportError:
+        raise GtcalError("batches run on Dask: pip install 'gtcal[fleet]', or give --jobs 0") from None
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)
+    with dask.config.set({"distributed.scheduler.allowed-failures": RETRIES}):
+        if scheduler is not None:
+            try:
+                client = Client(scheduler, timeout="10s")
+            except (OSError, ValueError) as error:
+                raise GtcalError(f"--scheduler {scheduler}: no Dask scheduler answers there: {error}") from None
+            with client:
+                client.register_plugin(_one_core_each())
+                yield DaskWorkers(client, do)
+            return
+        cluster = LocalCluster(
+            n_workers=jobs or n_cores(),
+            threads_per_worker=1,
+            processes=True,
+            dashboard_address=None,
+            silence_logs=logging.CRITICAL,
+        )
+        with cluster, Client(cluster) as client:
+            client.register_plugin(_one_core_each())
+            yield DaskWorkers(client, do)
+
+
+def _one_core_each() -> Any:
+    from distributed import WorkerPlugin
+
+    class OneCoreEach(WorkerPlugin):
+        """A worker takes one core, and leaves Ctrl-C to whoever handed out the tasks."""
+
+        name = "gtcal"
+
+        def setup(self, worker: Any) -> None:
+            begin_worker()
+
+    return OneCoreEach()
+
+
+def begin_worker() -> None:
+    """In a worker's process, before its first task."""
+    use_cores(1)
+    with suppress(ValueError):  # not its main thread, as where a cluster's workers are threads
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
