@@ -42,6 +42,7 @@ def calibrate(
     Raises GtcalError with one line on what is wrong: intrinsics missing, too few views, a degenerate motion, no time
     in common, or files that contradict each other (DisagreementError, with the likely mistake if one is found)."""
     options = options or CalibrationOptions()
+    _check_time(recording, options)
     recording = detected(recording, progress=progress)
     if earlier is not None:
         check_independent(earlier, recording.inputs)
@@ -64,9 +65,10 @@ def calibrate(
     if recording.path is not None and looks_wrong(calibration):
         warning = f"this does not look like a good calibration; {_doctor(recording)} may tell why"
         calibration = replace(calibration, warnings=(*calibration.warnings, warning))
-    calibration = (
-        tested(calibration, as_stamped, options) if options.clock == "test" else replace(calibration, clock=clock)
-    )
+    if options.clock == "test" and not recording.numbered:
+        calibration = tested(calibration, as_stamped, options)
+    else:
+        calibration = replace(calibration, clock=clock)
     if options.segments == "auto":
         return in_segments(
             calibration,
@@ -109,6 +111,20 @@ def calibrate_jointly(
     return replace(found[-1], carried_over=replace(carried[-1], moved=moved), warnings=(*warnings, *found[-1].warnings))
 
 
+def _check_time(recording: Recording, options: CalibrationOptions) -> None:
+    """Raises GtcalError where a recording by number is asked for what needs time."""
+    if not recording.numbered:
+        return
+    asked = {
+        f"--clock {options.clock}": options.clock in ("estimate", "per_camera"),
+        "--clock-drift": options.clock_drift,
+        "--segments auto": options.segments == "auto",
+    }
+    for option, given in asked.items():
+        if given:
+            raise GtcalError(f"{option}: this recording goes by number (numbered: true), and has no time; leave it out")
+
+
 def _doctor(recording: Recording) -> str:
     """What to run to find out what is wrong with it."""
     if recording.path is None:
@@ -122,6 +138,7 @@ def prepared(
 ) -> tuple[Observations, tuple[StageReport, ...]]:
     """The recording's synchronised views, detected where they are images, with intrinsics and clock offset found where
     the options ask for it; and what the intrinsics took."""
+    _check_time(recording, options)
     observations = synchronise(detected(recording, progress=progress))
     observations, reports = _with_intrinsics(observations, options, progress)
     return _on_the_mocaps_clock(observations, options, progress)[0], reports

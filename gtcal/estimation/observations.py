@@ -86,7 +86,7 @@ def synchronise(recording: Recording, *, min_corners: int = 4) -> Observations:
     dropped: list[Dropped] = []
     for name in recording.cameras:
         detections = _detections(recording, name)
-        for body, trajectory in recording.motion.trajectories.items():
+        for body, trajectory in ({} if recording.numbered else recording.motion.trajectories).items():
             check_overlap(name, detections.stamps_ns, body, trajectory.stamps_ns)
         reasons = _reasons_to_drop(recording.motion, detections, min_corners)
         dropped_here = _count(name, detections, reasons)
@@ -133,6 +133,9 @@ def _reasons_to_drop(motion: RefMotion, detections: CameraDetections, min_corner
     reasons = {f"fewer than {min_corners} corners": np.diff(detections.view_start) < min_corners}
     gaps = motion.at(detections.stamps_ns).gaps
     for name, trajectory in motion.trajectories.items():
+        if motion.numbered:
+            reasons[f"no pose of its number in {name}"] = gaps[name] != Gap.NONE
+            continue
         limit_ms = 1e3 * motion.gap_limit_s(trajectory)
         reasons[f"outside the {name} trajectory"] = gaps[name] == Gap.OUTSIDE
         reasons[f"gap > {limit_ms:.4g} ms in {name}"] = gaps[name] == Gap.TOO_LONG
@@ -183,6 +186,8 @@ def _time_base_hint(camera_ns: IntArray, body: str, body_ns: IntArray) -> str:
 
 def _nothing_left(name: str, dropped: list[Dropped], motion: RefMotion) -> str:
     counted = ", ".join(f"{drop.n_views} {drop.reason}" for drop in dropped)
+    if motion.numbered:
+        return f"camera {name!r} has no views left to calibrate from: {counted}"
     rates = ", ".join(
         f"{body} every {trajectory.median_interval_s:.3g} s" for body, trajectory in motion.trajectories.items()
     )

@@ -12,7 +12,7 @@ from typing import Any
 import yaml
 
 from factors import CAMERA_MODELS
-from gtcal.board import BOARD_TYPES, PRESETS, board_from_manifest
+from gtcal.board import BOARD_TYPES, PRESETS, TaggedBoard, board_from_manifest
 from gtcal.detection.board_guess import BoardGuess, guess_board
 from gtcal.errors import GtcalError
 from gtcal.overview.mocap_files import MocapBody
@@ -183,6 +183,8 @@ def _agrees(block: dict[str, Any], guess: BoardGuess | None) -> str:
     if guess is None:
         return " No tags were read in the images: check it."
     board = board_from_manifest(block)
+    if not isinstance(board, TaggedBoard):
+        return f" BUT the images show tags of {guess.dictionary}: check it."
     if guess.dictionary != board.dictionary or not set(guess.ids.tolist()) <= set(board.tag_ids.tolist()):
         return (
             f" BUT the images show {guess.kind} tags of {guess.dictionary}, ids {guess.ids.min()} to "
