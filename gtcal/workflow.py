@@ -21,6 +21,7 @@ from gtcal.estimation.intrinsics import calibrate_intrinsics
 from gtcal.estimation.observations import Observations, synchronise
 from gtcal.estimation.options import CalibrationOptions
 from gtcal.estimation.solver import DisagreementError, calibrate_observations
+from gtcal.estimation.told_apart import told_apart
 from gtcal.files import fingerprint
 from gtcal.progress import Progress, silent
 from gtcal.recordings.manifest import MANIFEST_NAMES
@@ -47,7 +48,8 @@ def calibrate(
     if earlier is not None:
         check_independent(earlier, recording.inputs)
         recording = replace(recording, cameras=with_earlier_lenses(recording.cameras, earlier))
-    as_stamped, reports = _with_intrinsics(synchronise(recording), options, progress)
+    as_seen, reports = _with_intrinsics(synchronise(recording), options, progress)
+    as_stamped = told_apart(as_seen, options)
     inputs = (*recording.inputs, *(earlier.inputs if earlier is not None else ()))
 
     def solve(views: Observations, chosen: CalibrationOptions) -> Calibration:
@@ -60,7 +62,7 @@ def calibrate(
             observations, options, carried_over = known_from(earlier, observations, options, solve)
         calibration = replace(solve(observations, options), carried_over=carried_over)
     except DisagreementError as error:
-        hint = likely_mistake(as_stamped, seed=options.seed, max_views=options.pnp_views)
+        hint = likely_mistake(as_seen, seed=options.seed, max_views=options.pnp_views)
         raise DisagreementError(error.angle_deg, hint, doctor=_doctor(recording)) from error
     if recording.path is not None and looks_wrong(calibration):
         warning = f"this does not look like a good calibration; {_doctor(recording)} may tell why"
@@ -141,7 +143,7 @@ def prepared(
     _check_time(recording, options)
     observations = synchronise(detected(recording, progress=progress))
     observations, reports = _with_intrinsics(observations, options, progress)
-    return _on_the_mocaps_clock(observations, options, progress)[0], reports
+    return _on_the_mocaps_clock(told_apart(observations, options), options, progress)[0], reports
 
 
 def _on_the_mocaps_clock(

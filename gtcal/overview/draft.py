@@ -12,7 +12,7 @@ from typing import Any
 import yaml
 
 from factors import CAMERA_MODELS
-from gtcal.board import BOARD_TYPES, PRESETS, TaggedBoard, board_from_manifest
+from gtcal.board import BOARD_TYPES, PRESETS, Board, TaggedBoard, board_from_manifest
 from gtcal.detection.board_guess import BoardGuess, guess_board
 from gtcal.errors import GtcalError
 from gtcal.overview.mocap_files import MocapBody
@@ -247,7 +247,9 @@ _SIZE_QUESTIONS = {
 }
 
 
-def _could_be(board: Any, guess: BoardGuess) -> bool:
+def _could_be(board: Board, guess: BoardGuess) -> bool:
+    if not isinstance(board, TaggedBoard):
+        return False
     same_tags = board.dictionary == guess.dictionary and set(guess.ids.tolist()) <= set(board.tag_ids.tolist())
     columns = getattr(board, "tag_columns", None)
     return same_tags and guess.columns in (None, columns)

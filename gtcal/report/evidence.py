@@ -17,6 +17,7 @@ from gtcal.errors import GtcalError
 from gtcal.estimation.observations import Dropped, Views, synchronise
 from gtcal.estimation.residuals import chain_residuals_px, norms
 from gtcal.estimation.screening import keep_all, screen
+from gtcal.estimation.told_apart import told_apart_by
 from gtcal.progress import Progress, silent
 from gtcal.recordings.detections import IntArray
 from gtcal.recordings.numbering import numbers_of
@@ -117,8 +118,9 @@ def gather_evidence(calibration: Calibration, recording: Recording, *, progress:
     # With the recording's own lenses, as the calibration detected: what was found then is kept for them.
     recording = detected(_with_cameras(recording, list(calibration.cameras)), progress=progress)
     lenses = {name: calibrated.camera for name, calibrated in calibration.cameras.items()}
-    observations = on_clock_of(calibration, synchronise(replace(recording, cameras=lenses)))
     estimate = calibration.estimate
+    synchronised = told_apart_by(synchronise(replace(recording, cameras=lenses)), estimate)
+    observations = on_clock_of(calibration, synchronised)
     screening = screen if calibration.provenance.options.get("screen", True) else keep_all
     screened = screening(observations.views, estimate)
     cameras = {
