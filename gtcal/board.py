@@ -1,13 +1,12 @@
 """Calibration boards: where every corner lies, what is printed, and how a manifest names it.
 
 Board frame, for every board: origin at the lower-left corner of the lower-left tag (tag grids) or of the
-lower-left square (ChArUco) of the upright print, x right along the print, y up, z out of the printed face
-towards the viewer. Right-handed, metres, all corners at z = 0.
+lower-left square (ChArUco, chessboard), or at the lower-left dot's centre, of the upright print, x right along the
+print, y up, z out of the printed face towards the viewer. Right-handed, metres, all corners at z = 0.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import MISSING, Field, asdict, dataclass, fields
 from functools import cached_property, lru_cache
@@ -18,15 +17,15 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from gtcal.board_base import BoardBase, check_count, check_side, mm
 from gtcal.board_tolerance import tolerance_of
 from gtcal.camera import BoolArray, FloatArray
 from gtcal.errors import GtcalError
+from gtcal.plain_boards import Chessboard, DotGrid
 from gtcal.recordings.detections import IntArray
 
 CodeArray = npt.NDArray[np.uint8]
 
-# Nothing printed leaves this range; a side of 59 is millimetres written where metres belong.
-_SMALLEST_SIDE_M, _LARGEST_SIDE_M = 0.002, 2.0
 # Kalibr's AprilGrid prints its tags with a black border of two modules (the plain AprilTag and ArUco: one).
 _APRILGRID_BORDER_MODULES, _ARUCO_BORDER_MODULES = 2, 1
 # OpenCV holds the AprilTag codes turned by half a turn against the families' own and so the upright AprilGrid: its
@@ -37,11 +36,9 @@ _ARUCO_OPENCV_CORNERS = (0, 1, 2, 3)
 
 @runtime_checkable
 class Board(Protocol):
-    """What a board knows about itself. C corners, T tags (the printed codes), lengths in metres.
+    """What a board knows about itself. C corners, lengths in metres.
 
-    A *corner* is a point that is measured in images. Its id is its row in ``corners_m``. A *tag* is what
-    tells corners apart; on a tag grid its four corners are measured, on a ChArUco board they only guide.
-    """
+    A *corner* is a point that is measured in images. Its id is its row in ``corners_m``."""
 
     @property
     def corners_m(self) -> FloatArray:
@@ -60,25 +57,14 @@ class Board(Protocol):
         """(R, 4) the whole print as non-overlapping black rectangles x_min, y_min, x_max, y_max."""
 
     @property
-    def dictionary(self) -> str:
-        """OpenCV's name of the dictionary of codes, as DICT_4X4_50."""
+    def discs_m(self) -> FloatArray:
+        """(D, 3) x, y and radius of the discs that make the print, where it is of discs: the rectangles are strips of
+        them then."""
 
     @property
-    def border_modules(self) -> int:
-        """Width of the black border around each code, in modules."""
-
-    @property
-    def tag_ids(self) -> IntArray:
-        """(T,) the id of each tag in the dictionary."""
-
-    @property
-    def tag_corners_m(self) -> FloatArray:
-        """(T, 4, 3) each tag's outer corners in the order in which OpenCV reports them: clockwise in the
-        image, from the corner that is the upper-left one of OpenCV's own drawing of the code."""
-
-    @property
-    def corner_tags(self) -> IntArray:
-        """(C, K) the tags next to each corner, -1 where there are fewer than K."""
+    def turns(self) -> IntArray:
+        """(G, C) the turns after which the print looks the same, the identity first: the corner that each corner comes
+        to lie on. Of a board whose corners have codes, the identity alone."""
 
     @property
     def corner_quadrants(self) -> BoolArray:
@@ -103,7 +89,7 @@ class Board(Protocol):
 
     @property
     def pitch_m(self) -> float:
-        """From one tag of a grid, or one square, to the next."""
+        """From one tag of a grid, one square or one dot to the next."""
 
     def __hash__(self) -> int: ...
     @property
@@ -114,43 +100,34 @@ class Board(Protocol):
     def height_m(self) -> float: ...
 
 
-class _BoardBase:
-    """What follows from the essentials in the same way for every board."""
-
-    corners_m: Any
-    bounds_m: Any
-    black_rectangles_m: Any
+@runtime_checkable
+class TaggedBoard(Board, Protocol):
+    """A board of T tags, the printed codes. A *tag* is what tells corners apart; on a tag grid its four corners are
+    measured, on a ChArUco board they only guide."""
 
     @property
-    def n_corners(self) -> int:
-        return len(self.corners_m)
+    def dictionary(self) -> str:
+        """OpenCV's name of the dictionary of codes, as DICT_4X4_50."""
 
     @property
-    def width_m(self) -> float:
-        return self.bounds_m[2] - self.bounds_m[0]
+    def border_modules(self) -> int:
+        """Width of the black border around each code, in modules."""
 
     @property
-    def height_m(self) -> float:
-        return self.bounds_m[3] - self.bounds_m[1]
-
-    @cached_property
-    def corner_quadrants(self) -> BoolArray:
-        step = 1e-3 * self.clear_band_m * np.array([(1, 1), (-1, 1), (-1, -1), (1, -1)])
-        return self._is_black((self.corners_m[:, None, :2] + step).reshape(-1, 2)).reshape(-1, 4)
+    def tag_ids(self) -> IntArray:
+        """(T,) the id of each tag in the dictionary."""
 
     @property
-    def clear_band_m(self) -> float:
-        raise NotImplementedError
+    def tag_corners_m(self) -> FloatArray:
+        """(T, 4, 3) each tag's outer corners in the order in which OpenCV reports them: clockwise in the
+        image, from the corner that is the upper-left one of OpenCV's own drawing of the code."""
 
-    def _is_black(self, points_m: FloatArray) -> BoolArray:
-        black = np.zeros(len(points_m), dtype=bool)
-        for x_min, y_min, x_max, y_max in self.black_rectangles_m:
-            x, y = points_m[:, 0], points_m[:, 1]
-            black |= (x > x_min) & (x < x_max) & (y > y_min) & (y < y_max)
-        return black
+    @property
+    def corner_tags(self) -> IntArray:
+        """(C, K) the tags next to each corner, -1 where there are fewer than K."""
 
 
-class TagGrid(_BoardBase):
+class TagGrid(BoardBase):
     """A grid of square tags: tag t = 0 .. T-1 has the dictionary id ``first_tag_id + t`` and the corner ids
     4 t + c. ``ArucoGrid`` and ``AprilGrid`` differ in how t and c are counted and in what fills the gaps."""
 
@@ -250,10 +227,10 @@ class TagGrid(_BoardBase):
         return _manifest_block(self)
 
     def _check(self) -> None:
-        _check_count(self, "tag_columns", 1)
-        _check_count(self, "tag_rows", 1)
-        _check_count(self, "first_tag_id", 0)
-        _check_side(self, "tag_side_m")
+        check_count(self, "tag_columns", 1)
+        check_count(self, "tag_rows", 1)
+        check_count(self, "first_tag_id", 0)
+        check_side(self, "tag_side_m")
         _check_ids(self, self.dictionary, self.first_tag_id, self.n_tags)
 
 
@@ -283,7 +260,7 @@ class ArucoGrid(TagGrid):
 
     def __post_init__(self) -> None:
         self._check()
-        _check_side(self, "tag_gap_m")
+        check_side(self, "tag_gap_m")
 
     @property
     def has_corner_squares(self) -> bool:
@@ -293,7 +270,7 @@ class ArucoGrid(TagGrid):
         squares = "with" if self.corner_squares else "without"
         return (
             f"ArUco grid {self.tag_columns} x {self.tag_rows} of {self.dictionary}, "
-            f"first id {self.first_tag_id}, tags {_mm(self.tag_side_m)}, gaps {_mm(self.tag_gap_m)}, "
+            f"first id {self.first_tag_id}, tags {mm(self.tag_side_m)}, gaps {mm(self.tag_gap_m)}, "
             f"{squares} corner squares"
         )
 
@@ -343,13 +320,13 @@ class AprilGrid(TagGrid):
     def describe(self) -> str:
         return (
             f"AprilGrid {self.tag_columns} x {self.tag_rows} of tag{self.family}, "
-            f"first id {self.first_tag_id}, tags {_mm(self.tag_side_m)}, "
-            f"spacing {self.tag_spacing:g} ({_mm(self.tag_gap_m)})"
+            f"first id {self.first_tag_id}, tags {mm(self.tag_side_m)}, "
+            f"spacing {self.tag_spacing:g} ({mm(self.tag_gap_m)})"
         )
 
 
 @dataclass(frozen=True)
-class CharucoBoard(_BoardBase):
+class CharucoBoard(BoardBase):
     """OpenCV's ChArUco board (the pattern of OpenCV 4.6 and later): a chessboard with a marker in every white
     square. The corners are the inner chessboard corners, numbered row by row from the upper-left, as OpenCV
     does.
@@ -367,10 +344,10 @@ class CharucoBoard(_BoardBase):
     border_modules = _ARUCO_BORDER_MODULES
 
     def __post_init__(self) -> None:
-        _check_count(self, "square_columns", 2)
-        _check_count(self, "square_rows", 2)
-        _check_side(self, "square_side_m")
-        _check_side(self, "marker_side_m")
+        check_count(self, "square_columns", 2)
+        check_count(self, "square_rows", 2)
+        check_side(self, "square_side_m")
+        check_side(self, "marker_side_m")
         if self.marker_side_m >= self.square_side_m:
             raise GtcalError(
                 f"board field 'marker_side_m' is {self.marker_side_m:g}; expected less than "
@@ -449,7 +426,7 @@ class CharucoBoard(_BoardBase):
     def describe(self) -> str:
         return (
             f"ChArUco board {self.square_columns} x {self.square_rows} of {self.dictionary}, "
-            f"squares {_mm(self.square_side_m)}, markers {_mm(self.marker_side_m)}"
+            f"squares {mm(self.square_side_m)}, markers {mm(self.marker_side_m)}"
         )
 
     def to_manifest(self) -> dict[str, Any]:
@@ -547,22 +524,6 @@ def _typed(type_name: str, name: str, value: Any, expected: type) -> Any:
     return value
 
 
-def _check_count(board: Any, name: str, least: int) -> None:
-    value = getattr(board, name)
-    if not least <= value <= 10_000:
-        raise GtcalError(f"board field {name!r} is {value}; expected {least} or more")
-
-
-def _check_side(board: Any, name: str) -> None:
-    value = getattr(board, name)
-    if math.isfinite(value) and _SMALLEST_SIDE_M <= value <= _LARGEST_SIDE_M:
-        return
-    hint = f"; {value:g} mm is {value / 1000:g} m" if value > _LARGEST_SIDE_M else ""
-    raise GtcalError(
-        f"board field {name!r} is {value:g}; expected {_SMALLEST_SIDE_M:g} to {_LARGEST_SIDE_M:g} metres{hint}"
-    )
-
-
 def _check_ids(board: Any, dictionary: str, first_id: int, n_tags: int) -> None:
     size = len(aruco_dictionary(dictionary).bytesList)
     if first_id + n_tags > size:
@@ -620,10 +581,6 @@ def _listed(names: Any) -> str:
     return ", ".join(str(name) for name in names)
 
 
-def _mm(length_m: float) -> str:
-    return f"{1000 * length_m:g} mm"
-
-
 # DICT_4X4_50, the smallest codes: the widest modules for a given tag, so read at the greatest distance and
 # under the strongest distortion. Their short codes are no risk here, because a tag must also agree with its
 # neighbours on the board. And the gap is three modules exactly.
@@ -636,9 +593,14 @@ PAPER_A2 = ArucoGrid(
     first_tag_id=0,
     corner_squares=True,
 )
-PRESETS: dict[str, Board] = {"paper_a2": PAPER_A2}
-BOARD_TYPES: dict[str, type[ArucoGrid] | type[AprilGrid] | type[CharucoBoard]] = {
+# Both fit an A2 sheet, and have one way up.
+CHESSBOARD_A2 = Chessboard(square_columns=11, square_rows=8, square_side_m=0.045)
+DOTS_A2 = DotGrid(dot_columns=7, dot_rows=9, dot_pitch_m=0.07, asymmetric=True, dot_diameter_m=0.025)
+PRESETS: dict[str, Board] = {"paper_a2": PAPER_A2, "chessboard": CHESSBOARD_A2, "dots": DOTS_A2}
+BOARD_TYPES: dict[str, type[ArucoGrid] | type[AprilGrid] | type[CharucoBoard] | type[Chessboard] | type[DotGrid]] = {
     "aruco_grid": ArucoGrid,
     "aprilgrid": AprilGrid,
     "charuco": CharucoBoard,
+    "chessboard": Chessboard,
+    "dot_grid": DotGrid,
 }

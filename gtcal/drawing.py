@@ -5,7 +5,7 @@ from __future__ import annotations
 import struct
 import zlib
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from xml.sax.saxutils import escape
 
@@ -87,8 +87,8 @@ class Text:
 
 @dataclass(frozen=True)
 class Sheet:
-    """A page to print: black rectangles (R, 4) x_min, y_min, x_max, y_max and texts, in metres from the page's
-    lower-left corner, x right, y up.
+    """A page to print: black rectangles (R, 4) x_min, y_min, x_max, y_max, black discs (D, 3) x, y, radius, and texts,
+    in metres from the page's lower-left corner, x right, y up.
 
     board_origin_m: where on the page the origin of the board frame is.
     """
@@ -98,6 +98,7 @@ class Sheet:
     rectangles_m: FloatArray
     texts: tuple[Text, ...]
     board_origin_m: tuple[float, float]
+    discs_m: FloatArray = field(default_factory=lambda: np.empty((0, 3)))
 
 
 def draw_board(board: Board, path: Path, *, page: str | None = None, dpi: int = 300) -> Sheet:
@@ -141,7 +142,9 @@ def sheet_of(board: Board, page: str | None = None) -> Sheet:
     """Lay a board out on a page (see ``draw_board``), the pattern in the middle.
 
     Raises GtcalError where the page is unknown or too small."""
-    return lay_out(board.black_rectangles_m, (), board.bounds_m, board.describe(), page)
+    rectangles_m = np.empty((0, 4)) if len(board.discs_m) else board.black_rectangles_m
+    sheet = lay_out(rectangles_m, (), board.bounds_m, board.describe(), page)
+    return replace(sheet, discs_m=board.discs_m + np.array([*sheet.board_origin_m, 0.0]))
 
 
 def lay_out(
@@ -224,6 +227,8 @@ def _pdf(sheet: Sheet) -> bytes:
     path = canvas.beginPath()
     for x0, y0, x1, y1 in (sheet.rectangles_m / _POINT_M).tolist():
         path.rect(x0, y0, x1 - x0, y1 - y0)
+    for x, y, r in (sheet.discs_m / _POINT_M).tolist():
+        path.circle(x, y, r)
     canvas.drawPath(path, stroke=0, fill=1)
     for text in sheet.texts:
         canvas.setFont("Helvetica", text.size_m / _POINT_M)
@@ -237,6 +242,9 @@ def _svg(sheet: Sheet) -> bytes:
         f"M{x0:.6g} {height_mm - y0:.6g}H{x1:.6g}V{height_mm - y1:.6g}H{x0:.6g}Z"
         for x0, y0, x1, y1 in (sheet.rectangles_m / _MM).tolist()
     )
+    discs = "".join(
+        f'<circle cx="{x:.6g}" cy="{height_mm - y:.6g}" r="{r:.6g}"/>\n' for x, y, r in (sheet.discs_m / _MM).tolist()
+    )
     texts = "".join(
         f'<text x="{text.x_m / _MM:g}" y="{height_mm - text.y_m / _MM:g}" font-family="Helvetica, Arial, sans-serif" '
         f'font-size="{text.size_m / _MM:g}">{escape(text.words)}</text>\n'
@@ -247,7 +255,7 @@ def _svg(sheet: Sheet) -> bytes:
             '<?xml version="1.0" encoding="UTF-8"?>\n'
             f'<svg xmlns="http://www.w3.org/2000/svg" width="{width_mm:g}mm" height="{height_mm:g}mm" '
             f'viewBox="0 0 {width_mm:g} {height_mm:g}">\n'
-            f'<rect width="100%" height="100%" fill="white"/>\n<path d="{path}"/>\n{texts}</svg>\n'
+            f'<rect width="100%" height="100%" fill="white"/>\n<path d="{path}"/>\n{discs}{texts}</svg>\n'
         ).encode()
     )
 
@@ -258,10 +266,22 @@ def _png(sheet: Sheet, dpi: int) -> bytes:
     shape = (round(sheet.height_m * px_per_m), round(sheet.width_m * px_per_m))
     top_m = shape[0] / px_per_m
     image = _raster(sheet.rectangles_m - np.array([0, top_m, 0, top_m]), px_per_m, shape)
+    for x, y, r in (sheet.discs_m * px_per_m).tolist():
+        _draw_disc(image, x - 0.5, shape[0] - y - 0.5, r)
     for text in sheet.texts:
         _write_text(image, text, px_per_m)
     encoded = cv2.imencode(".png", image)[1].tobytes()
     return _with_resolution(encoded, px_per_m)
+
+
+def _draw_disc(image: GreyImage, x: float, y: float, r: float) -> None:
+    """Black, about a point in pixels (centres at integers); the pixels of its rim are grey by how far it reaches into
+    them."""
+    columns = np.arange(int(x - r) - 1, int(x + r) + 3)
+    rows = np.arange(int(y - r) - 1, int(y + r) + 3)
+    black = np.clip(r + 0.5 - np.hypot(columns - x, rows[:, None] - y), 0.0, 1.0)
+    piece = image[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
+    np.minimum(piece, np.rint(255.0 * (1.0 - black)).astype(np.uint8), out=piece)
 
 
 def _write_text(image: GreyImage, text: Text, px_per_m: float) -> None:

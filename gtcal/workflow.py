@@ -23,6 +23,7 @@ from gtcal.estimation.intrinsics import calibrate_intrinsics
 from gtcal.estimation.observations import Observations, synchronise
 from gtcal.estimation.options import CalibrationOptions
 from gtcal.estimation.solver import DisagreementError, calibrate_observations
+from gtcal.estimation.told_apart import told_apart
 from gtcal.files import fingerprint
 from gtcal.progress import Progress, silent
 from gtcal.recordings.manifest import MANIFEST_NAMES
@@ -51,11 +52,13 @@ def calibrate(
             "robust kernel %s is called back from Python for every corner: slower than those that are compiled",
             options.robust.name,
         )
+    _check_time(recording, options)
     recording = detected(recording, progress=progress)
     if earlier is not None:
         check_independent(earlier, recording.inputs)
         recording = replace(recording, cameras=with_earlier_lenses(recording.cameras, earlier))
-    as_stamped, reports = _with_intrinsics(synchronise(recording), options, progress)
+    as_seen, reports = _with_intrinsics(synchronise(recording), options, progress)
+    as_stamped = told_apart(as_seen, options)
     inputs = (*recording.inputs, *(earlier.inputs if earlier is not None else ()))
 
     def solve(views: Observations, chosen: CalibrationOptions) -> Calibration:
@@ -68,14 +71,15 @@ def calibrate(
             observations, options, carried_over = known_from(earlier, observations, options, solve)
         calibration = replace(solve(observations, options), carried_over=carried_over)
     except DisagreementError as error:
-        hint = likely_mistake(as_stamped, seed=options.seed, max_views=options.pnp_views)
+        hint = likely_mistake(as_seen, seed=options.seed, max_views=options.pnp_views)
         raise DisagreementError(error.angle_deg, hint, doctor=_doctor(recording)) from error
     if recording.path is not None and looks_wrong(calibration):
         warning = f"this does not look like a good calibration; {_doctor(recording)} may tell why"
         calibration = replace(calibration, warnings=(*calibration.warnings, warning))
-    calibration = (
-        tested(calibration, as_stamped, options) if options.clock == "test" else replace(calibration, clock=clock)
-    )
+    if options.clock == "test" and not recording.numbered:
+        calibration = tested(calibration, as_stamped, options)
+    else:
+        calibration = replace(calibration, clock=clock)
     if options.segments == "auto":
         return in_segments(
             calibration,
@@ -118,6 +122,20 @@ def calibrate_jointly(
     return replace(found[-1], carried_over=replace(carried[-1], moved=moved), warnings=(*warnings, *found[-1].warnings))
 
 
+def _check_time(recording: Recording, options: CalibrationOptions) -> None:
+    """Raises GtcalError where a recording by number is asked for what needs time."""
+    if not recording.numbered:
+        return
+    asked = {
+        f"--clock {options.clock}": options.clock in ("estimate", "per_camera"),
+        "--clock-drift": options.clock_drift,
+        "--segments auto": options.segments == "auto",
+    }
+    for option, given in asked.items():
+        if given:
+            raise GtcalError(f"{option}: this recording goes by number (numbered: true), and has no time; leave it out")
+
+
 def _doctor(recording: Recording) -> str:
     """What to run to find out what is wrong with it."""
     if recording.path is None:
@@ -131,9 +149,10 @@ def prepared(
 ) -> tuple[Observations, tuple[StageReport, ...]]:
     """The recording's synchronised views, detected where they are images, with intrinsics and clock offset found where
     the options ask for it; and what the intrinsics took."""
+    _check_time(recording, options)
     observations = synchronise(detected(recording, progress=progress))
     observations, reports = _with_intrinsics(observations, options, progress)
-    return _on_the_mocaps_clock(observations, options, progress)[0], reports
+    return _on_the_mocaps_clock(told_apart(observations, options), options, progress)[0], reports
 
 
 def _on_the_mocaps_clock(

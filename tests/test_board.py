@@ -192,7 +192,7 @@ def test_a_wrong_block_is_refused_with_its_field(block: Any, message: str) -> No
 
 def test_the_schema_knows_every_type_and_field() -> None:
     preset, *types = board_manifest_schema()["oneOf"]
-    assert preset["properties"]["preset"]["enum"] == ["paper_a2"]
+    assert preset["properties"]["preset"]["enum"] == ["paper_a2", "chessboard", "dots"]
     assert [t["properties"]["type"]["const"] for t in types] == list(BOARD_TYPES)
     for schema, board in zip(types, (PLAIN, APRIL, CHARUCO), strict=True):
         assert set(board.to_manifest()) == set(schema["properties"])
@@ -223,7 +223,7 @@ def test_a_wrong_board_file_is_named(tmp_path: Path, text: str, message: str) ->
 
 
 def test_neither_preset_nor_file() -> None:
-    with pytest.raises(GtcalError, match=r"'nowhere.yaml' is no preset \(paper_a2\) and no file"):
+    with pytest.raises(GtcalError, match=r"'nowhere.yaml' is no preset \(paper_a2, chessboard, dots\) and no file"):
         load_board("nowhere.yaml")
 
 

@@ -198,7 +198,7 @@ def test_the_schema_names_fields_choices_and_what_each_capture_needs() -> None:
     assert schema["anyOf"] == [{"required": ["cameras"]}, {"required": ["layout"]}]
     assert schema["additionalProperties"] is False
     assert "fisheye62" in schema["$defs"]["CameraEntry"]["properties"]["model"]["enum"]
-    formats = ["euroc_csv", "tum", "motive_csv", "vicon_csv", "qualisys_tsv", "c3d", "trc", "rosbag"]
+    formats = ["euroc_csv", "tum", "motive_csv", "vicon_csv", "qualisys_tsv", "c3d", "trc", "rosbag", "pose_list"]
     assert schema["$defs"]["TrajectoryEntry"]["properties"]["format"]["enum"] == formats
     assert {"oneOf", "description"} <= set(schema["properties"]["board"])
     needs = {rule["if"]["properties"]["capture"]["const"]: rule["then"] for rule in schema["allOf"]}

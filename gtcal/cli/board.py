@@ -4,20 +4,20 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal, get_args
 
 import tyro
 
 if TYPE_CHECKING:
     from gtcal.board import Board
 
-BoardType = Literal["aruco_grid", "aprilgrid", "charuco"]
+BoardType = Literal["aruco_grid", "aprilgrid", "charuco", "chessboard", "dot_grid"]
 
 
 def board(
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"])],
     *,
-    preset: Literal["paper_a2"] | None = None,
+    preset: Literal["paper_a2", "chessboard", "dots"] | None = None,
     type: BoardType | None = None,
     file: Path | None = None,
     lollypop: bool = False,
@@ -34,6 +34,11 @@ def board(
     square_rows: int | None = None,
     square_side_mm: float | None = None,
     marker_side_mm: float | None = None,
+    dot_columns: int | None = None,
+    dot_rows: int | None = None,
+    dot_pitch_mm: float | None = None,
+    dot_diameter_mm: float | None = None,
+    asymmetric: bool | None = None,
     page: str | None = None,
     dpi: int = 300,
     quiet: Annotated[bool, tyro.conf.arg(aliases=["-q"])] = False,
@@ -47,12 +52,19 @@ def board(
         gtcal board -o april.pdf --type aprilgrid --tag-columns 6 --tag-rows 6 --tag-side-mm 88 --tag-spacing 0.3
         gtcal board -o charuco.png --type charuco --dictionary DICT_5X5_100 --square-columns 8 --square-rows 6
             --square-side-mm 40 --marker-side-mm 30
+        gtcal board -o chessboard.pdf --type chessboard --square-columns 9 --square-rows 6 --square-side-mm 40
+        gtcal board -o dots.pdf --type dot_grid --dot-columns 4 --dot-rows 11 --dot-pitch-mm 60 --asymmetric
+
+    Boards with codes are found where only a part of them is seen; a chessboard or a grid of dots only as a whole.
 
     Args:
         output: File to write: .pdf or .svg for a print shop, .png for a screen.
         preset: 'paper_a2': A2, 24 ArUco tags of 59 mm, 29.5 mm apart, black squares at all crossings of the gaps, so
-            that every tag corner is as sharp as a chessboard's.
+            that every tag corner is as sharp as a chessboard's. 'chessboard': A2, 11 x 8 squares of 45 mm. 'dots': A2,
+            an asymmetric grid of 7 x 9 dots of 25 mm, 70 mm apart.
         type: 'aruco_grid': tags of an OpenCV dictionary. 'aprilgrid': Kalibr's. 'charuco': OpenCV's ChArUco board.
+            'chessboard': a plain one; with an even and an odd number of squares it has one way up. 'dot_grid': dots in
+            columns and rows.
         file: YAML file with a board block as in a recording's manifest.
         lollypop: Draw the device to verify with, the paper's or with --file one described there: its tag, and where its
             retroreflective discs go.
@@ -67,10 +79,16 @@ def board(
             different ids.
         corner_squares: aruco_grid: black squares at all crossings of the gaps. Corners are found about five times more
             precisely with them.
-        square_columns: charuco: chessboard squares across.
-        square_rows: charuco: chessboard squares down.
-        square_side_mm: charuco: side of a square.
+        square_columns: charuco, chessboard: chessboard squares across.
+        square_rows: charuco, chessboard: chessboard squares down.
+        square_side_mm: charuco, chessboard: side of a square.
         marker_side_mm: charuco: side of the marker in a white square.
+        dot_columns: dot_grid: dots in a row.
+        dot_rows: dot_grid: rows of dots.
+        dot_pitch_mm: dot_grid: from a dot to the next of its row, centre to centre.
+        dot_diameter_mm: dot_grid: of a dot (default: half the pitch; of asymmetric grids a quarter).
+        asymmetric: dot_grid: every other row is shifted by half the pitch, and rows are half the pitch apart. With an
+            odd number of rows it has one way up.
         page: A4 to A0, or millimetres as 500x400; by default the smallest of A4 to A0 that holds the board.
         dpi: Resolution of a PNG; it is stored in the file.
         quiet: Print nothing.
@@ -97,6 +115,11 @@ def board(
         "square_rows": square_rows,
         "square_side_m": _metres(square_side_mm),
         "marker_side_m": _metres(marker_side_mm),
+        "dot_columns": dot_columns,
+        "dot_rows": dot_rows,
+        "dot_pitch_m": _metres(dot_pitch_mm),
+        "dot_diameter_m": _metres(dot_diameter_mm),
+        "asymmetric": asymmetric,
     }
     chosen = _chosen_board(preset, file, {name: value for name, value in given.items() if value is not None})
     sheet = draw_board(chosen, output, page=page, dpi=dpi)
@@ -120,7 +143,7 @@ def _chosen_board(preset: str | None, file: Path | None, given: dict[str, object
         raise GtcalError(f"{' and '.join(ways)} both describe a board; give one")
     if given and ways != ["--type"]:
         option = re.sub("_m$", "_mm", next(iter(given))).replace("_", "-")
-        raise GtcalError(f"--{option} needs --type aruco_grid, aprilgrid or charuco, and all that the type has")
+        raise GtcalError(f"--{option} needs --type ({', '.join(get_args(BoardType))}), and all that the type has")
     if file is not None:
         return load_board(str(file))
     return board_from_manifest(given if given else {"preset": preset or "paper_a2"})

@@ -12,6 +12,7 @@ from gtcal.cli.terminal import Terminal
 from gtcal.overview.live import Look
 from gtcal.overview.summary import BodySummary, CameraSummary, RecordingSummary, Times
 from gtcal.readers import MocapSummary
+from gtcal.recordings.numbering import numbers_of
 from gtcal.results.calibration import Provenance
 
 
@@ -51,23 +52,11 @@ def _lens_table(summary: RecordingSummary) -> Table:
 
 def _camera_table(summary: RecordingSummary) -> Table:
     table = new_table("images")
-    for heading in (
-        "images",
-        "Hz",
-        "from, s",
-        "to, s",
-        "gaps (longest)",
-        "with pose",
-        "with board",
-        "corners",
-        "covered",
-    ):
+    for heading in ("images", *_time_headings(summary), "with pose", "with board", "corners", "covered"):
         table.add_column(heading, justify="right")
     for name, camera in summary.cameras.items():
         images = "-" if camera.n_images is None else str(camera.n_images)
-        table.add_row(
-            name, images, *_times(camera.times, summary.start_ns), f"{camera.with_pose:.0%}", *_corners(camera)
-        )
+        table.add_row(name, images, *_times(camera.times, summary), f"{camera.with_pose:.0%}", *_corners(camera))
     return table
 
 
@@ -79,16 +68,25 @@ def _corners(camera: CameraSummary) -> tuple[str, str, str]:
 
 def _body_table(summary: RecordingSummary) -> Table:
     table = new_table("tracked bodies")
-    for heading in ("poses", "Hz", "from, s", "to, s", "gaps (longest)", "lost", "range x, y, z, mm", "turned, deg"):
+    lost = () if summary.numbered else ("lost",)
+    for heading in ("poses", *_time_headings(summary), *lost, "range x, y, z, mm", "turned, deg"):
         table.add_column(heading, justify="right")
     for name, body in summary.bodies.items():
         poses = str(body.trajectory.n_samples)
-        table.add_row(name, poses, *_times(body.times, summary.start_ns), _lost(body.times), *_motion(body))
+        lost = () if summary.numbered else (_lost(body.times),)
+        table.add_row(name, poses, *_times(body.times, summary), *lost, *_motion(body))
     return table
 
 
-def _times(times: Times, start_ns: int) -> tuple[str, str, str, str]:
-    first_s, last_s = (times.stamps_ns[[0, -1]] - start_ns) * 1e-9
+def _time_headings(summary: RecordingSummary) -> tuple[str, ...]:
+    return ("from number", "to") if summary.numbered else ("Hz", "from, s", "to, s", "gaps (longest)")
+
+
+def _times(times: Times, summary: RecordingSummary) -> tuple[str, ...]:
+    if summary.numbered:
+        first, last = numbers_of(times.stamps_ns[[0, -1]])
+        return str(first), str(last)
+    first_s, last_s = (times.stamps_ns[[0, -1]] - summary.start_ns) * 1e-9
     gaps = f"{len(times.gaps_s)} ({_duration(float(times.gaps_s.max()))})" if len(times.gaps_s) else "-"
     rate = "-" if np.isnan(times.rate_hz) else f"{times.rate_hz:.4g}"
     return rate, f"{first_s:.1f}", f"{last_s:.1f}", gaps

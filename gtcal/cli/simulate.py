@@ -65,7 +65,8 @@ def simulate(
             cameras with pinhole and Kannala-Brandt lenses on half a circle around a volume.
         capture: Who is tracked. 'tracked_platform': the rig and the board. 'standing_board': the rig; the board
             stands still. 'fixed_cameras': the board; the cameras stand still. By default what suits the rig.
-        board: 'paper_a2', or a YAML file with a board block as in a recording's manifest.
+        board: 'paper_a2', 'chessboard' or 'dots' (see 'gtcal board'), or a YAML file with a board block as in a
+            recording's manifest.
         seed: Decides everything random.
         frames: Frames per camera, evenly spread over the duration.
         duration_s: Length of the recording.

@@ -14,12 +14,12 @@ from typing import Any
 import cv2
 import numpy as np
 
-import gtcal.board
-from gtcal.board import Board
+from gtcal.board import Board, TaggedBoard
 from gtcal.camera import Camera
 from gtcal.cores import all_cores
-from gtcal.detection.view_detection import SeenBoard, see_board
+from gtcal.detection.corner_search import SeenBoard
 from gtcal.detection.view_detection import detect_view as detect_view
+from gtcal.detection.view_detection import see_board
 from gtcal.errors import GtcalError
 from gtcal.files import MiB, sha256_of, write_aside
 from gtcal.npz import load_arrays
@@ -30,8 +30,19 @@ from gtcal.verification.lollypop import Lollypop
 from gtcal.verification.lollypop_detection import see_lollypop
 
 CACHE_FOLDER = ".gtcal"
-# What decides, beside gtcal.board, what is found: a cache made by another version of one of these isn't taken.
-_DETECTOR = ("lens_guess", "local_warp", "refinement", "sight", "tags", "view_detection")
+# What decides, with the boards, what is found: a cache made by another version of one of these isn't taken.
+_DETECTOR = (
+    "corner_search",
+    "dots",
+    "lens_guess",
+    "local_warp",
+    "plain_view",
+    "refinement",
+    "sight",
+    "tags",
+    "view_detection",
+)
+_BOARDS = ("board", "board_base", "plain_boards")
 
 _log = logging.getLogger("gtcal")
 
@@ -146,6 +157,11 @@ def _see(images: Images, index: int, board: Board | Lollypop, camera: Camera | N
 
 def _why_none(name: str, board: Board | Lollypop, camera: Camera | None, n_tags: list[int]) -> str:
     """What to say where no image shows the board. n_tags: how many of its tags were read in each image."""
+    if isinstance(board, Board) and not isinstance(board, TaggedBoard):
+        return (
+            f"{name}: none of {len(n_tags)} images shows the board ({board.describe()}); check its columns and rows, "
+            "and that all of it is in the image, with white around it"
+        )
     # One or two of small codes are read by chance in any picture.
     some = sum(n >= min(3, len(board.tag_ids)) for n in n_tags)
     if not some:
@@ -182,8 +198,10 @@ def _cache_key(images: Images, board: Board | Lollypop, camera: Camera | None) -
 
 @lru_cache(maxsize=1)
 def _detector_version() -> str:
-    modules = [Path(__file__).with_name(f"{module}.py") for module in _DETECTOR]
-    sources = (path.read_bytes() for path in (*modules, Path(gtcal.board.__file__)))
+    here = Path(__file__)
+    modules = [here.with_name(f"{module}.py") for module in _DETECTOR]
+    modules += [here.parents[1] / f"{module}.py" for module in _BOARDS]
+    sources = (path.read_bytes() for path in modules)
     return hashlib.sha256(b"\0".join(sources)).hexdigest()
 
 

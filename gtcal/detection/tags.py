@@ -9,7 +9,7 @@ from typing import Protocol
 import cv2
 import numpy as np
 
-from gtcal.board import Board, aruco_dictionary, tag_codes
+from gtcal.board import TaggedBoard, aruco_dictionary, tag_codes
 from gtcal.camera import BoolArray, FloatArray
 from gtcal.recordings.detections import IntArray
 from gtcal.recordings.images import GreyImage
@@ -55,7 +55,7 @@ class FoundTags:
         return FoundTags(self.tags[rows], self.corners_px[rows])
 
 
-def find_tags(image: GreyImage, board: Board) -> tuple[FoundTags, int]:
+def find_tags(image: GreyImage, board: TaggedBoard) -> tuple[FoundTags, int]:
     """The tags of the board that OpenCV reads in an image and that agree with one another (``agreeing_tags``), and
     how many it reads at most, agreeing or not.
 
@@ -103,7 +103,7 @@ def _plausible(corners_px: FloatArray) -> BoolArray:
     return (turns > 0).all(axis=1) & (np.linalg.norm(edges, axis=2) > _SMALLEST_SIDE_PX).all(axis=1)
 
 
-def agreeing_tags(found: FoundTags, board: Board) -> FoundTags:
+def agreeing_tags(found: FoundTags, board: TaggedBoard) -> FoundTags:
     """The tags that lie to one another as on the board; none where these are not the majority (another board).
 
     Each tag's sides give the derivative of the image to the board. The mean of two tags' derivatives carries the
@@ -116,7 +116,7 @@ def agreeing_tags(found: FoundTags, board: Board) -> FoundTags:
     return found.take(kept if 2 * kept.sum() > len(found) else np.zeros(len(found), dtype=bool))
 
 
-def _disagreements(found: FoundTags, board: Board) -> BoolArray:
+def _disagreements(found: FoundTags, board: TaggedBoard) -> BoolArray:
     """(F, F) which pairs of tags contradict each other."""
     board_m = board.tag_corners_m[found.tags, :, :2]
     derivative = _affine_parts(board_m, found.corners_px)
@@ -142,7 +142,7 @@ def _affine_parts(board_m: FloatArray, corners_px: FloatArray) -> FloatArray:
     return np.einsum("fki,fkj->fij", p, b) @ np.linalg.inv(np.einsum("fki,fkj->fij", b, b))
 
 
-def module_centres_m(board: Board, tags: IntArray) -> FloatArray:
+def module_centres_m(board: TaggedBoard, tags: IntArray) -> FloatArray:
     """(F, B, 2) the centres of the data modules (border left out) of tags, row by row in OpenCV's drawing."""
     n = tag_codes(board.dictionary, (int(board.tag_ids[0]),), board.border_modules).shape[1]
     middle = (np.arange(board.border_modules, n - board.border_modules) + 0.5) / n
@@ -151,7 +151,7 @@ def module_centres_m(board: Board, tags: IntArray) -> FloatArray:
     return upper_left[:, None] + right * (upper_right - upper_left)[:, None] + down * (lower_left - upper_left)[:, None]
 
 
-def read_codes(image: GreyImage, board: Board, tags: IntArray, centres_px: FloatArray) -> FloatArray:
+def read_codes(image: GreyImage, board: TaggedBoard, tags: IntArray, centres_px: FloatArray) -> FloatArray:
     """(F,) how well the image shows the codes of the tags at their module centres (F, B, 2): the correlation of
     the grey values with the code, 1 at best, 0 for chance; NaN where a module centre is outside the image."""
     border = board.border_modules

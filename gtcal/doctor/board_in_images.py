@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from gtcal.board import AprilGrid, ArucoGrid, Board, CharucoBoard
+from gtcal.board import AprilGrid, ArucoGrid, Board, CharucoBoard, TaggedBoard
 from gtcal.detection.board_guess import BoardGuess, guess_board
 from gtcal.doctor.manifest_lines import line_of
 from gtcal.errors import GtcalError
@@ -54,6 +54,8 @@ def _of_stated_size(guess: BoardGuess, stated: Board) -> Board | None:
 
 def _lengths_m(board: Board) -> tuple[float, float]:
     """The side of a tag, and from its edge to that of the next one, in a grid or one square further."""
+    if not isinstance(board, TaggedBoard):
+        return board.clear_band_m, board.pitch_m - board.clear_band_m
     first, second = board.tag_corners_m[0, :2]
     side_m = round(float(np.linalg.norm(second - first)), 9)
     return side_m, round(board.pitch_m - side_m, 9)

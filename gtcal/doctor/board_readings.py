@@ -206,10 +206,7 @@ def _renumbered_chessboard(board: CharucoBoard) -> Iterator[BoardReading]:
 def scaled_board(board: Board, factor: float) -> tuple[Board, tuple[str, ...]]:
     """The board with its sides made larger, to four digits, and its lines in the manifest. Raises GtcalError where no
     board is of that size."""
-    if isinstance(board, ArucoGrid):
-        names: tuple[str, ...] = ("tag_side_m", "tag_gap_m")
-    else:
-        names = ("tag_side_m",) if isinstance(board, AprilGrid) else ("square_side_m", "marker_side_m")
-    sides = {name: float(f"{factor * getattr(board, name):.4g}") for name in names}
+    lengths_m = {name: value for name, value in board.to_manifest().items() if name.endswith("_m")}
+    sides = {name: float(f"{factor * value:.4g}") for name, value in lengths_m.items() if value}
     larger = board_from_manifest(board.to_manifest() | sides)
     return larger, tuple(f"board.{name}: {side:g}" for name, side in sides.items())

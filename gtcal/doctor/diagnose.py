@@ -256,7 +256,7 @@ class Patient:
 
     def _look_at_times(self) -> None:
         share = posed_share(self.recording)
-        if share >= ENOUGH:
+        if share >= ENOUGH or self.recording.numbered:
             return
         n_views = sum(of_camera.n_views for of_camera in self.recording.detections.values())
         tried = [(reading, posed_share(reading.recording)) for reading in time_readings(self.recording, self.file)]

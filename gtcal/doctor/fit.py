@@ -10,10 +10,11 @@ import numpy as np
 from factors.board_shape import outline_of
 from gtcal.board import Board
 from gtcal.board_tolerance import BoardTolerance
-from gtcal.camera import Camera, FloatArray
+from gtcal.camera import BoolArray, Camera, FloatArray
 from gtcal.estimation.alignment import GuideViews, stage_1, stage_2, turns_rad
+from gtcal.estimation.board_turns import turn_mismatches_rad
 from gtcal.estimation.estimate import Estimate
-from gtcal.estimation.observations import Views
+from gtcal.estimation.observations import Views, board_turns
 from gtcal.estimation.pnp import solve_pnp
 from gtcal.estimation.residuals import residual_norms_px, select_views
 from gtcal.recordings.capture import RefMotion
@@ -95,6 +96,7 @@ def views_of(camera: Camera, board: Board, detections: CameraDetections, *, most
         corners_px=picked.corners_px,
         outline_m=outline_m,
         shape_sigmas=BoardTolerance().shape_sigmas(outline_m),
+        board_turns=board_turns(board),
     )
 
 
@@ -160,10 +162,17 @@ def turn_misfit_rad(guides: Mapping[str, GuideViews], motion: RefMotion) -> floa
     differences = []
     for guide in guides.values():
         at = motion.at(guide.views.stamps_ns)
-        turned = turns_rad(guide.pnp_camera_T_board[at.ok, 0]) - turns_rad(at.ref_T_body[at.ok])
-        differences.append(np.abs(turned).ravel())
+        differences.append(_turn_mismatches_rad(guide, at.ref_T_body, at.ok).ravel())
     found = np.concatenate(differences)
     return float(np.median(found)) if len(found) else np.inf
+
+
+def _turn_mismatches_rad(guide: GuideViews, ref_T_body: FloatArray, ok: BoolArray) -> FloatArray:
+    """Between views, of a print that looks the same after turns by the turn that fits best."""
+    poses, turns = guide.pnp_camera_T_board[ok, 0], guide.views.board_turns
+    if len(turns) > 1:
+        return turn_mismatches_rad(poses, ref_T_body[ok], turns).min(axis=2)
+    return np.abs(turns_rad(poses) - turns_rad(ref_T_body[ok]))
 
 
 def _posed(guide: GuideViews, motion: RefMotion, shift_s: float, board_scale: float) -> GuideViews:
@@ -171,10 +180,11 @@ def _posed(guide: GuideViews, motion: RefMotion, shift_s: float, board_scale: fl
     at = motion.at(stamps_ns)
     index = np.flatnonzero(at.ok)
     views = replace(select_views(guide.views, index), ref_T_body=at.ref_T_body[index])
-    poses = guide.pnp_camera_T_board[index].copy()
+    poses, turns = guide.pnp_camera_T_board[index].copy(), views.board_turns.copy()
     poses[..., :3, 3] *= board_scale
+    turns[:, :3, 3] *= board_scale
     moments = guide.corner_moments[index] * _moment_scale(board_scale)
-    return GuideViews(views, poses, guide.pnp_median_px[index], moments)
+    return GuideViews(replace(views, board_turns=turns), poses, guide.pnp_median_px[index], moments)
 
 
 def _moment_scale(board_scale: float) -> FloatArray:

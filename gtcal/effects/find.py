@@ -98,7 +98,9 @@ def _found(
     frames = frames_of(calibration, observations, options)
     if frames is None:
         return None
-    frames, changes = find_changes(frames, level=0.5 * FALSE_ALARMS)
+    changes: tuple[ChangePoint, ...] = ()
+    if not frames.motion.numbered:  # else there is no time at which something could have changed
+        frames, changes = find_changes(frames, level=0.5 * FALSE_ALARMS)
     lasting = (*lasting_effects(frames, options), *more)
     effects: list[Effect] = [*changes, *map(LensAfter, changes), *lasting]
     tests = {index: 2.0 * change.tests for index, change in enumerate(changes)}

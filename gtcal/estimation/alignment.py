@@ -18,6 +18,7 @@ from factors.moments import chain
 from factors.rigid import inverse
 from gtcal.camera import BoolArray, FloatArray
 from gtcal.estimation.alignment_descent import converged_sweep
+from gtcal.estimation.board_turns import turns_in_common
 from gtcal.estimation.consensus import ViewPoses, consensus, rotation_between, rotation_by_turns
 from gtcal.estimation.estimate import Estimate
 from gtcal.estimation.graph import AlignmentViews, Minimisation, alignment_graph, minimise, to_values, updated
@@ -26,6 +27,7 @@ from gtcal.estimation.options import SweepMode
 from gtcal.estimation.pnp import PnpViews
 from gtcal.estimation.procrustes import N_STARTS, SweepResult, alignment_sums, sweep
 from gtcal.estimation.residuals import select_views
+from gtcal.recordings.detections import IntArray
 
 _PASSES = 3
 _GATE = 3.0
@@ -48,24 +50,42 @@ distant board. Where none is so close, consensus is sought, which good recording
 
 @dataclass(frozen=True)
 class GuideViews:
-    """The views of one camera that PnP solved. pnp_camera_T_board: (W, 2, 4, 4) both poses, the better first.
-    pnp_median_px: (W,) median distance of a view's corners to their projection under the better pose."""
+    """The views of one camera that PnP solved. pnp_camera_T_board: (W, K, 4, 4) both poses, the better first; of a
+    print that looks the same after some turns both by each turn, in the order of ``views.board_turns``.
+    pnp_median_px: (W,) median distance of a view's corners to their projection under the better pose.
+    first: (W,) the pose that counts before a chain is known."""
 
     views: Views
     pnp_camera_T_board: FloatArray
     pnp_median_px: FloatArray
     corner_moments: FloatArray
+    first: IntArray | None = None
 
     @staticmethod
     def of(views: Views, pnp: PnpViews) -> GuideViews:
         chosen = select_views(views, pnp.view_index)
         moments = corner_moments(chosen.view_start, chosen.corners_m)
-        return GuideViews(chosen, pnp.camera_T_board, pnp.median_px[:, 0], moments)
+        poses = pnp.camera_T_board[:, None] @ inverse(chosen.board_turns)[:, None]
+        return GuideViews(chosen, poses.reshape(len(poses), -1, 4, 4), pnp.median_px[:, 0], moments)
+
+    @property
+    def start(self) -> IntArray:
+        """(W,) ``first``, or the better pose as it was seen."""
+        return np.zeros(len(self.corner_moments), dtype=np.int64) if self.first is None else self.first
 
     @property
     def poses(self) -> ViewPoses:
-        """With the better PnP pose."""
-        return ViewPoses(self.views.ref_T_body, self.pnp_camera_T_board[:, 0], self.corner_moments)
+        """With the PnP pose to start with."""
+        rows = np.arange(len(self.corner_moments))
+        chosen = self.pnp_camera_T_board[rows, self.start]
+        return ViewPoses(self.views.ref_T_body, chosen, self._moments_of(self.start))
+
+    def _moments_of(self, pose: IntArray) -> FloatArray:
+        """(W, 4, 4) of the corners where they truly are if the PnP pose of index ``pose`` (W,) is the true one."""
+        if len(self.views.board_turns) == 1:
+            return self.corner_moments
+        S = self.views.board_turns[pose // 2]
+        return np.asarray(S @ self.corner_moments @ np.swapaxes(S, 1, 2))
 
     @property
     def distances_m(self) -> FloatArray:
@@ -74,16 +94,20 @@ class GuideViews:
         return np.asarray(np.linalg.norm(np.einsum("vij,vj->vi", self.pnp_camera_T_board[:, 0, :3], middle), axis=1))
 
     def rms_m(self, camera_T_ref: FloatArray, body_T_board: FloatArray) -> FloatArray:
-        """Rms distance (W, 2) between the corners placed by the chain and by each of the two PnP poses."""
+        """Rms distance (W, K) between the corners placed by the chain and by each of the PnP poses."""
         expected = chain(camera_T_ref, self.views.ref_T_body, body_T_board)
-        squared = [squared_distances(expected, self.pnp_camera_T_board[:, i], self.corner_moments) for i in range(2)]
+        n_views, n_poses = self.pnp_camera_T_board.shape[:2]
+        squared = [
+            squared_distances(expected, self.pnp_camera_T_board[:, i], self._moments_of(np.full(n_views, i)))
+            for i in range(n_poses)
+        ]
         mean = np.stack(squared, axis=1) / self.corner_moments[:, 3, 3, None]
         return np.sqrt(np.maximum(mean, 0.0))
 
-    def alignment_views(self, keep: BoolArray, pose: FloatArray) -> AlignmentViews:
+    def alignment_views(self, keep: BoolArray, pose: IntArray) -> AlignmentViews:
         """The views where ``keep`` (W,), each with its PnP pose of index ``pose`` (W,)."""
         chosen = self.pnp_camera_T_board[np.arange(len(pose)), pose]
-        return AlignmentViews(self.views.ref_T_body[keep], chosen[keep], self.corner_moments[keep])
+        return AlignmentViews(self.views.ref_T_body[keep], chosen[keep], self._moments_of(pose)[keep])
 
 
 @dataclass(frozen=True)
@@ -110,6 +134,7 @@ def stage_1(
     seek_consensus: where no chain comes close to most views; who tries wrong readings of a recording does without.
     hopeless_share: and has no use for a chain whose first pass ends with its median corner off by more than this share
     of its distance; it is left at that."""
+    guides = started_in_one_turn(guides)
     agreeing = {name: _agreeing_views(guide) for name, guide in guides.items()}
     aligned = _passes(guides, agreeing, rng, n_starts, method, hopeless_share)
     if method == "paper" or not seek_consensus or _share_of_distance(guides, aligned.estimate) < _CLOSE:
@@ -218,11 +243,28 @@ def _fits(rms_m: FloatArray, median_m: float) -> BoolArray:
 def _agreeing_views(guide: GuideViews) -> AlignmentViews:
     """Views that have turned from most others by the same angle for PnP as for the mocap, as they must whatever X and
     Y are: That_i^-1 That_j = X^-1 (A_i^-1 A_j) X (screw congruence, Chen 1991). At least half of the views."""
-    by_pnp, by_mocap = (turns_rad(poses) for poses in (guide.pnp_camera_T_board[:, 0], guide.views.ref_T_body))
+    by_pnp, by_mocap = (turns_rad(poses) for poses in (guide.poses.pnp_camera_T_board, guide.views.ref_T_body))
     mismatch_rad = np.median(np.abs(by_pnp - by_mocap), axis=1)
     agree = mismatch_rad <= max(_GATE * float(np.median(mismatch_rad)), _TURN_FLOOR_RAD)
     agree |= len(agree) < _FEWEST_JUDGED
-    return guide.alignment_views(agree, np.zeros(len(agree), dtype=np.int64))
+    return guide.alignment_views(agree, guide.start)
+
+
+def started_in_one_turn(guides: Mapping[str, GuideViews]) -> dict[str, GuideViews]:
+    """Where the print looks the same after some turns: the views with poses to start with that are of one and the same
+    turn, all cameras alike."""
+    found, R_X = dict(guides), None
+    for name, guide in sorted(guides.items(), key=lambda item: -item[1].views.n_views):
+        S, A, That = guide.views.board_turns, guide.views.ref_T_body, guide.pnp_camera_T_board[:, 0]
+        if len(S) == 1:
+            return dict(guides)
+        turns = turns_in_common(That, A, S)
+        own = rotation_by_turns(*_rotations(A, That @ inverse(S[turns])))[0]
+        R_X = own if R_X is None else R_X
+        likeness = np.einsum("ij,gij->g", R_X, own @ np.swapaxes(S[:, :3, :3], 1, 2))
+        turns = (turns + int(likeness.argmax())) % len(S)
+        found[name] = replace(guide, first=2 * turns)
+    return found
 
 
 def turns_rad(poses: FloatArray) -> FloatArray:

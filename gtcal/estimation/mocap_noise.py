@@ -130,10 +130,11 @@ class NoiseBases:
         for name, trajectory in motion.trajectories.items():
             to_board = np.eye(6)[None] if name == "board_body" else adjoint(inverse(ref_T_body))
             carried[name] = to_board
-            twist = np.nan_to_num(trajectory.twist_per_s(stamps_ns))
-            moved = (to_board @ twist[:, :, None])[:, :, 0]
-            share = trajectory.interpolated_variance(stamps_ns, 0.0)
-            jitter += share[:, None, None] * np.einsum("ni,nj->nij", moved, moved)
+            if not motion.numbered:
+                twist = np.nan_to_num(trajectory.twist_per_s(stamps_ns))
+                moved = (to_board @ twist[:, :, None])[:, :, 0]
+                share = trajectory.interpolated_variance(stamps_ns, 0.0)
+                jitter += share[:, None, None] * np.einsum("ni,nj->nij", moved, moved)
             translation[name], rotation[name] = (
                 to_board @ unit[kind] @ np.swapaxes(to_board, 1, 2) for kind in ("translation", "rotation")
             )
@@ -267,6 +268,8 @@ class _Likelihood:
             name: MocapSigmas(float(1e3 * values[2 * i]), float(np.rad2deg(values[2 * i + 1])))
             for i, name in enumerate(self.bodies)
         }
+        if self.bases.motion.numbered:  # there is no time to jitter, or to be alike in
+            return MocapNoiseModel(bodies, correlation_s=0.0, jitter_s=0.0, estimated=True)
         return MocapNoiseModel(bodies, correlation_s=float(values[-1]), jitter_s=float(values[-2]), estimated=True)
 
     def covariance(self, logs: FloatArray) -> FloatArray:
@@ -300,7 +303,7 @@ class _Likelihood:
         log determinant; with its sigmas so many ``times`` as large."""
         total = self._of_frames_and_priors.copy()
         L = times * lower_factors(self.covariance(logs))
-        rho = correlations(self.frames.stamps_ns, float(np.exp(logs[-1])))
+        rho = self.noise(logs).correlations(self.frames.stamps_ns)
         log_determinant = subtract_noise(self.frames.moments, L, rho, total)
         return np.triu(total) + np.triu(total, 1).T, log_determinant
 

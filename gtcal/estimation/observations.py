@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -27,6 +27,8 @@ class Views(ViewRows):
     ref_T_body: (V, 4, 4) by the mocap.
     corners_m: (N, 3) the corners in the board frame, as stated. outline_m: (4,) of the board, and shape_sigmas: (5,)
         1-sigma of its shape beforehand, both as in ``factors.board_shape``.
+    board_turns: (G, 4, 4) the turns of the board, the identity first, that may lie between each view's corners and the
+        true ones: several where the print looks the same after them, and the views were not told apart yet.
     """
 
     camera: Camera
@@ -35,6 +37,20 @@ class Views(ViewRows):
     corners_m: FloatArray
     outline_m: FloatArray
     shape_sigmas: FloatArray
+    board_turns: FloatArray = field(default_factory=lambda: np.eye(4)[None])
+
+
+def board_turns(board: Board) -> FloatArray:
+    """(G, 4, 4) the rigid transforms of ``board.turns``, in the board's plane about the middle of its corners."""
+    corners_m = board.corners_m
+    middle_m = 0.5 * (corners_m.min(axis=0) + corners_m.max(axis=0))
+    T = np.tile(np.eye(4), (len(board.turns), 1, 1))
+    for turned, pose in zip(board.turns, T, strict=True):
+        about, onto = (corners_m - middle_m)[:, :2], (corners_m[turned] - middle_m)[:, :2]
+        angle = np.arctan2(np.sum(about[:, 0] * onto[:, 1] - about[:, 1] * onto[:, 0]), np.sum(about * onto))
+        pose[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
+        pose[:3, 3] = middle_m - pose[:3, :3] @ middle_m
+    return T
 
 
 @dataclass(frozen=True)
@@ -86,7 +102,7 @@ def synchronise(recording: Recording, *, min_corners: int = 4) -> Observations:
     dropped: list[Dropped] = []
     for name in recording.cameras:
         detections = _detections(recording, name)
-        for body, trajectory in recording.motion.trajectories.items():
+        for body, trajectory in ({} if recording.numbered else recording.motion.trajectories).items():
             check_overlap(name, detections.stamps_ns, body, trajectory.stamps_ns)
         reasons = _reasons_to_drop(recording.motion, detections, min_corners)
         dropped_here = _count(name, detections, reasons)
@@ -113,6 +129,7 @@ def _views(recording: Recording, name: str, detections: CameraDetections, frame_
         corners_px=detections.corners_px,
         outline_m=outline_m,
         shape_sigmas=recording.board_tolerance.shape_sigmas(outline_m),
+        board_turns=board_turns(recording.board),
     )
 
 
@@ -133,6 +150,9 @@ def _reasons_to_drop(motion: RefMotion, detections: CameraDetections, min_corner
     reasons = {f"fewer than {min_corners} corners": np.diff(detections.view_start) < min_corners}
     gaps = motion.at(detections.stamps_ns).gaps
     for name, trajectory in motion.trajectories.items():
+        if motion.numbered:
+            reasons[f"no pose of its number in {name}"] = gaps[name] != Gap.NONE
+            continue
         limit_ms = 1e3 * motion.gap_limit_s(trajectory)
         reasons[f"outside the {name} trajectory"] = gaps[name] == Gap.OUTSIDE
         reasons[f"gap > {limit_ms:.4g} ms in {name}"] = gaps[name] == Gap.TOO_LONG
@@ -183,6 +203,8 @@ def _time_base_hint(camera_ns: IntArray, body: str, body_ns: IntArray) -> str:
 
 def _nothing_left(name: str, dropped: list[Dropped], motion: RefMotion) -> str:
     counted = ", ".join(f"{drop.n_views} {drop.reason}" for drop in dropped)
+    if motion.numbered:
+        return f"camera {name!r} has no views left to calibrate from: {counted}"
     rates = ", ".join(
         f"{body} every {trajectory.median_interval_s:.3g} s" for body, trajectory in motion.trajectories.items()
     )

@@ -110,7 +110,10 @@ class _Process:
             sigmas = noise.bodies[body]
             unit = bases.carried[body] * np.repeat([np.deg2rad(sigmas.rotation_deg), 1e-3 * sigmas.translation_mm], 3)
             unit = np.broadcast_to(unit, (len(stamps_ns), 6, 6))
-            for over, kernel in ((TIME, in_time), (PLACE, _in_place(trajectory, stamps_ns))):
+            for over, kernel in (
+                (TIME, None if motion.numbered else in_time),
+                (PLACE, _in_place(trajectory, stamps_ns)),
+            ):
                 if kernel is not None:
                     names.append((body, over))
                     terms.append(_spread(unit, kernel))

@@ -37,6 +37,7 @@ from gtcal.estimation.smooth_errors import (
 from gtcal.files import InputFile
 from gtcal.progress import Progress, silent
 from gtcal.recordings.detections import IntArray
+from gtcal.recordings.numbering import listed_numbers, numbers_of
 from gtcal.results.board_shape import BoardShape
 from gtcal.results.calibration import (
     Calibration,
@@ -143,7 +144,7 @@ def calibrate_observations(
             *lens_warnings({name: of_camera.camera for name, of_camera in views.items()}, moved),
             *(shape.warnings if shape is not None else ()),
             *_gross_warnings(found.dropped, observations),
-            *fit_warnings((*reports, *later), found.noise),
+            *fit_warnings((*reports, *later), found.noise, numbered=observations.motion.numbered),
             *(found.noise.warnings if found.noise is not None else ()),
         ),
         provenance=provenance(options, inputs, time.perf_counter() - started),
@@ -196,7 +197,7 @@ def _warnings(observations: Observations, found: _Found, options: CalibrationOpt
             _weakness_warnings(observations, adjusted, found.of_noise_alone, options)
             options = replace(options, allow_degenerate=True)
         weak = _weakness_warnings(observations, adjusted, sigmas, options)
-    return (*motion, *_screening_warnings(adjusted, observations.views), *weak, *_prior_warnings(adjusted, options))
+    return (*motion, *_screening_warnings(adjusted, observations), *weak, *_prior_warnings(adjusted, options))
 
 
 def _prior_warnings(adjusted: Adjusted, options: CalibrationOptions) -> tuple[str, ...]:
@@ -204,7 +205,9 @@ def _prior_warnings(adjusted: Adjusted, options: CalibrationOptions) -> tuple[st
     return contradictions(options.priors, cameras, adjusted.values, free_theta=options.refine_intrinsics)
 
 
-def fit_warnings(reports: Sequence[StageReport], noise: MocapNoise | None) -> tuple[str, ...]:
+def fit_warnings(
+    reports: Sequence[StageReport], noise: MocapNoise | None, *, numbered: bool = False
+) -> tuple[str, ...]:
     """By themselves the views fit as well as lens and detector are; what the chain adds is the mocap's. The reports
     begin with PnP's; the stage that was taken is the one that counts."""
     alone, stage = reports[0], noise.stage if noise is not None else 3
@@ -213,8 +216,8 @@ def fit_warnings(reports: Sequence[StageReport], noise: MocapNoise | None) -> tu
         return ()
     return (
         f"corners lie {taken.median_px:.2g} px off, typically, but {alone.median_px:.2g} px where each view has a "
-        "board pose of its own: the mocap's poses do not go with the images; look for a clock offset or for loose "
-        "markers",
+        "board pose of its own: the mocap's poses do not go with the images; look for "
+        + ("loose markers or an arm that errs" if numbered else "a clock offset or for loose markers"),
     )
 
 
@@ -263,15 +266,23 @@ def _gross_warnings(dropped: tuple[Dropped, ...], observations: Observations) ->
     )
 
 
-def _screening_warnings(adjusted: Adjusted, views: Mapping[str, Views]) -> tuple[str, ...]:
+def _screening_warnings(adjusted: Adjusted, observations: Observations) -> tuple[str, ...]:
+    views, numbered = observations.views, observations.motion.numbered
+    cause = "a body that slips or is mistaken" if numbered else "a mocap body that swaps, or a clock that drifts,"
     start_ns = min(int(of_camera.stamps_ns[0]) for of_camera in views.values())
     return tuple(
         f"camera {name!r}: {np.mean(~keep):.0%} of its views contradict the chain and were left out "
-        f"({_moments(views[name].stamps_ns[~keep] - start_ns)}); a mocap body that swaps, or a clock that "
-        "drifts, looks like that"
+        f"({_shown(views[name].stamps_ns[~keep], start_ns, numbered)}); {cause} looks like that"
         for name, keep in adjusted.screened.keep_view.items()
         if np.mean(~keep) > MANY_DROPPED
     )
+
+
+def _shown(stamps_ns: IntArray, start_ns: int, numbered: bool) -> str:
+    """When, or of a numbered recording which."""
+    if numbered:
+        return f"images {listed_numbers(numbers_of(stamps_ns), _MOMENTS_SHOWN)}"
+    return _moments(stamps_ns - start_ns)
 
 
 def _moments(since_start_ns: IntArray) -> str:

@@ -12,7 +12,7 @@ from typing import Any
 import yaml
 
 from factors import CAMERA_MODELS
-from gtcal.board import BOARD_TYPES, PRESETS, board_from_manifest
+from gtcal.board import BOARD_TYPES, PRESETS, Board, TaggedBoard, board_from_manifest
 from gtcal.detection.board_guess import BoardGuess, LoneTag, guess_board, guess_lone_tag
 from gtcal.errors import GtcalError
 from gtcal.overview.mocap_files import MocapBody
@@ -248,6 +248,8 @@ def _agrees(block: dict[str, Any], guess: BoardGuess | None) -> str:
     if guess is None:
         return " No tags were read in the images: check it."
     board = board_from_manifest(block)
+    if not isinstance(board, TaggedBoard):
+        return f" BUT the images show tags of {guess.dictionary}: check it."
     if guess.dictionary != board.dictionary or not set(guess.ids.tolist()) <= set(board.tag_ids.tolist()):
         return (
             f" BUT the images show {guess.kind} tags of {guess.dictionary}, ids {guess.ids.min()} to "
@@ -310,7 +312,9 @@ _SIZE_QUESTIONS = {
 }
 
 
-def _could_be(board: Any, guess: BoardGuess) -> bool:
+def _could_be(board: Board, guess: BoardGuess) -> bool:
+    if not isinstance(board, TaggedBoard):
+        return False
     same_tags = board.dictionary == guess.dictionary and set(guess.ids.tolist()) <= set(board.tag_ids.tolist())
     columns = getattr(board, "tag_columns", None)
     return same_tags and guess.columns in (None, columns)

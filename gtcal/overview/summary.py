@@ -109,16 +109,20 @@ class BodySummary:
 
 @dataclass(frozen=True)
 class RecordingSummary:
-    """What a recording holds. remarks: what is worth knowing before one calibrates, a line each."""
+    """What a recording holds. remarks: what is worth knowing before one calibrates, a line each. numbered: whether
+    what stands for times are the images' numbers, in s."""
 
     what: str
     cameras: dict[str, CameraSummary]
     bodies: dict[str, BodySummary]
     remarks: tuple[str, ...]
+    numbered: bool = False
 
     @property
     def start_ns(self) -> int:
-        """The first stamp of all."""
+        """The first stamp of all; 0 where they stand for numbers."""
+        if self.numbered:
+            return 0
         times = [camera.times for camera in self.cameras.values()] + [body.times for body in self.bodies.values()]
         return min(int(entry.stamps_ns[0]) for entry in times)
 
@@ -133,7 +137,7 @@ def summarise(recording: Recording | LollypopRecording) -> RecordingSummary:
         _own_name(recording, name): _body(recording.motion, t) for name, t in recording.motion.trajectories.items()
     }
     what = f"{recording.capture.value}, {target.describe()}"
-    return RecordingSummary(what, cameras, bodies, tuple(_remarks(recording, cameras)))
+    return RecordingSummary(what, cameras, bodies, tuple(_remarks(recording, cameras)), recording.motion.numbered)
 
 
 def _own_name(recording: Recording | LollypopRecording, body: str) -> str:
@@ -151,7 +155,7 @@ def _camera(recording: Recording | LollypopRecording, name: str, target: Board |
     source = "corners only" if images is None else ", ".join(relative(path, at) for path in images.inputs)
     return CameraSummary(
         camera=camera,
-        times=Times(stamps_ns, _gap_s(stamps_ns)),
+        times=Times(stamps_ns, float("inf") if recording.motion.numbered else _gap_s(stamps_ns)),
         n_images=None if images is None else len(images),
         source=f"{source} {images.source}".strip() if images is not None else source,
         with_pose=_with_pose(recording.motion, stamps_ns),
@@ -174,7 +178,8 @@ def _with_pose(motion: RefMotion, stamps_ns: IntArray) -> float:
 
 
 def _body(motion: RefMotion, trajectory: Trajectory) -> BodySummary:
-    return BodySummary(trajectory, Times(trajectory.stamps_ns, motion.gap_limit_s(trajectory)))
+    gap_s = float("inf") if motion.numbered else motion.gap_limit_s(trajectory)
+    return BodySummary(trajectory, Times(trajectory.stamps_ns, gap_s))
 
 
 def _remarks(recording: Recording | LollypopRecording, cameras: dict[str, CameraSummary]) -> Iterator[str]:

@@ -39,7 +39,7 @@ def draw_recording(path: Path, summary: RecordingSummary) -> None:
         for row in range(rows_of_images):
             _coverage(next(parts), covered[row * _CAMERAS_ACROSS : (row + 1) * _CAMERAS_ACROSS])
         for name, body in summary.bodies.items():
-            _motion(next(parts), name, body, summary.start_ns)
+            _motion(next(parts), name, body, summary)
         write_figure(path, figure)
 
 
@@ -53,7 +53,8 @@ def _timeline(part: SubFigure, summary: RecordingSummary) -> None:
     for index, body in enumerate(summary.bodies.values(), start=len(summary.cameras)):
         _row(axes, index, body.times, summary.start_ns, _BODY_COLOUR, marks=False)
     axes.set_yticks(range(len(names)), names)
-    axes.set(xlabel="time since the first stamp, s", ylim=(len(names) - 0.4, -0.6))
+    over = "number of the image" if summary.numbered else "time since the first stamp, s"
+    axes.set(xlabel=over, ylim=(len(names) - 0.4, -0.6))
     axes.set_title(f"{summary.what}: images, and poses without gaps", loc="left", fontsize=9)
     axes.grid(axis="y", visible=False)
     axes.margins(x=0.01)
@@ -91,11 +92,11 @@ def _coverage(part: SubFigure, cameras: list[CameraSummary]) -> None:
         axes.set_title(f"{camera.camera.name}: {camera.coverage.share:.0%} covered", fontsize=8.5)
 
 
-def _motion(part: SubFigure, name: str, body: BodySummary, start_ns: int) -> None:
-    """Position and attitude over time, each about its mean."""
+def _motion(part: SubFigure, name: str, body: BodySummary, summary: RecordingSummary) -> None:
+    """Position and attitude over time, or the images' numbers, each about its mean."""
     left, right = part.subplots(1, 2)
     rows = evenly(body.trajectory.n_samples, _MOST_POINTS)
-    at_s = _seconds(body.trajectory.stamps_ns[rows], start_ns)
+    at_s = _seconds(body.trajectory.stamps_ns[rows], summary.start_ns)
     after_gap = np.diff(at_s, prepend=at_s[0]) > max(body.times.gap_s, 2.5 * float(np.median(np.diff(at_s, prepend=0))))
     positions_mm = 1e3 * body.trajectory.world_T_body[:, :3, 3]
     for axes, values, unit, what in (
@@ -107,7 +108,7 @@ def _motion(part: SubFigure, name: str, body: BodySummary, start_ns: int) -> Non
         broken = np.where((after_gap | jumps)[:, None], np.nan, values)
         for column, (axis, colour) in enumerate(_AXES):
             axes.plot(at_s, broken[:, column], color=colour, label=axis, linewidth=0.9)
-        axes.set(xlabel="time, s", ylabel=unit)
+        axes.set(xlabel="number of the image" if summary.numbered else "time, s", ylabel=unit)
         axes.set_title(f"{name}: {what}, from its mean", loc="left", fontsize=8.5)
         axes.margins(x=0.01)
     left.legend(loc="upper left", ncols=3)

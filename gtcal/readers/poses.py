@@ -21,7 +21,9 @@ LengthUnit = Literal["m", "mm"]
 TimeUnit = Literal["ns", "us", "ms", "s"]
 PoseDirection = Literal["world_T_body", "body_T_world"]
 
-_LENGTHS_M: dict[LengthUnit, float] = {"m": 1.0, "mm": 1e-3}
+LENGTHS_M: dict[LengthUnit, float] = {"m": 1.0, "mm": 1e-3}
+"""Metres in each unit."""
+
 # What printing a unit quaternion with three decimals can do to its norm: sqrt(4) * 0.0005.
 _NORM_TOLERANCE = 1e-3
 # The halls of the largest mocap systems are some tens of metres long; a room in millimetres read as metres
@@ -76,17 +78,25 @@ def settle(path: Path, body: str, in_file: PoseConventions, declared: PoseConven
 
 def _settle_one(path: Path, body: str, name: str, in_file: PoseConventions, declared: PoseConventions) -> Any:
     said, claimed = getattr(in_file, name), getattr(declared, name)
+    default = "world_T_body" if name == "pose" else None
+    return stated_once(path, body, name, said, claimed or (None if said else default), _CHOICES[name])
+
+
+def stated_once(path: Path, body: str, name: str, said: str | None, claimed: str | None, choices: str) -> str:
+    """What the file says of a convention, or the manifest.
+
+    Raises GtcalError where they contradict each other, or neither says it."""
     if said and claimed and said != claimed:
         raise GtcalError(
             f"{path}: the file's header says {name} {said}, but the manifest says {body}.{name}: {claimed}; "
             "correct the one that is wrong"
         )
-    if not said and not claimed and name != "pose":
+    if not said and not claimed:
         raise GtcalError(
             f"{path}: the file doesn't state its {name}, and gtcal doesn't guess it; "
-            f"add {body}.{name} to the manifest: {_CHOICES[name]}"
+            f"add {body}.{name} to the manifest: {choices}"
         )
-    return said or claimed or "world_T_body"
+    return said or claimed or ""
 
 
 def trajectory_from_rows(table: TextTable, body: str, rows: npt.NDArray, conventions: SettledConventions) -> Trajectory:
@@ -103,8 +113,8 @@ def trajectory_from_rows(table: TextTable, body: str, rows: npt.NDArray, convent
     stamps_ns = table.stamps_ns(rows["stamp"], conventions.time_unit)
     table.check_strictly_increasing(stamps_ns)
     check_rate(table.path, stamps_ns, body, conventions.time_unit)
-    quats = _unit_quaternions(table, np.stack([rows[f"q{i}"] for i in range(4)], axis=1))
-    positions_m = np.stack([rows[axis] for axis in "xyz"], axis=1) * _LENGTHS_M[conventions.length_unit]
+    quats = unit_quaternions(table, np.stack([rows[f"q{i}"] for i in range(4)], axis=1))
+    positions_m = np.stack([rows[axis] for axis in "xyz"], axis=1) * LENGTHS_M[conventions.length_unit]
     poses = poses_from_quaternions(quats, conventions.quaternion, positions_m)
     world_T_body = poses if conventions.pose == "world_T_body" else inverse(poses)
     check_distance(table.path, world_T_body[:, :3, 3], body, conventions.length_unit)
@@ -114,7 +124,8 @@ def trajectory_from_rows(table: TextTable, body: str, rows: npt.NDArray, convent
     return Trajectory(body, stamps_ns, world_T_body, notes)
 
 
-def _unit_quaternions(table: TextTable, quats: FloatArray) -> FloatArray:
+def unit_quaternions(table: TextTable, quats: FloatArray) -> FloatArray:
+    """Quaternions (N, 4) of length 1. Raises GtcalError with file and line where one is far from that."""
     with np.errstate(over="ignore"):  # of damaged numbers, which are then told
         norms = np.linalg.norm(quats, axis=1)
     bad = np.flatnonzero(np.abs(norms - 1.0) > _NORM_TOLERANCE)

@@ -59,6 +59,7 @@ class RefMotion:
     """ref_T_body as a function of time, from the trajectories of the tracked bodies.
 
     max_gap_s: the longest gap to interpolate across; None for each trajectory's own default.
+    numbered: poses go with images by number (``gtcal.recordings.numbering``): there is no time, and none between them.
     Raises GtcalError where a body that the capture needs is missing, or one is given that it has no use for.
     """
 
@@ -66,6 +67,7 @@ class RefMotion:
     platform: Trajectory | None
     board_body: Trajectory | None
     max_gap_s: float | None = None
+    numbered: bool = False
 
     def __post_init__(self) -> None:
         given = {"platform": self.platform, "board_body": self.board_body}
@@ -79,6 +81,8 @@ class RefMotion:
 
     def gap_limit_s(self, trajectory: Trajectory) -> float:
         """The longest gap to interpolate across in this trajectory."""
+        if self.numbered:
+            return 0.0
         return trajectory.default_max_gap_s if self.max_gap_s is None else self.max_gap_s
 
     def at(self, stamps_ns: IntArray) -> RefPosesAt:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -14,15 +14,16 @@ from gtcal.camera import Camera, FloatArray
 from gtcal.errors import GtcalError
 from gtcal.files import write_aside
 from gtcal.recordings.detections import CameraDetections, Cornered, IntArray
+from gtcal.recordings.numbering import LARGEST_NUMBER, numbers_of, stamps_of
 from gtcal.recordings.text_table import Kind, TextTable, open_table
 
-_HEADER = "timestamp_ns,corner_id,x_px,y_px"
+_HEADER, _NUMBERED_HEADER = "timestamp_ns,corner_id,x_px,y_px", "number,corner_id,x_px,y_px"
 _ROWS_PER_WRITE = 100_000
 # A corner printed at the same place differs by the rounding of its file; a wrong size or order by millimetres.
 _SAME_CORNER_M = 1e-4
 
 
-def read_detections(path: Path, board: Cornered, camera: Camera) -> CameraDetections:
+def read_detections(path: Path, board: Cornered, camera: Camera, *, numbered: bool = False) -> CameraDetections:
     """Read the detections of one camera from a CSV, or from all the CSVs of a folder. The header of each tells its
     kind:
 
@@ -31,20 +32,23 @@ def read_detections(path: Path, board: Cornered, camera: Camera) -> CameraDetect
     - ``#ts,tag_rows,tag_cols,tag_size,tag_spacing,kp_x,kp_y,p_x,p_y,p_z,tag_id,corner_idx``: yac's; the
       corner positions must be the board's.
 
+    Where the recording is ``numbered``, the first column of the first two kinds is ``number``, that of the image.
+
     Rows come in any order. Raises GtcalError with file and line where a row can't be read, an id is not on the
     board, a corner appears twice in a view, or a pixel lies outside the image."""
     files = sorted(path.glob("*.csv")) if path.is_dir() else [path]
     if not files:
         raise GtcalError(f"{path}: there is no .csv file in this folder of detections")
-    parts = [_read_file(file, board, camera) for file in files]
-    return _joined(parts, board, camera)
+    parts = [_read_file(file, board, camera, numbered) for file in files]
+    return _joined(parts, board, numbered)
 
 
-def write_detections(path: Path, detections: CameraDetections) -> None:
+def write_detections(path: Path, detections: CameraDetections, *, numbered: bool = False) -> None:
     """Write detections as gtcal's own CSV, every digit. Views without corners leave no row."""
-    stamps_ns = np.repeat(detections.stamps_ns, np.diff(detections.view_start))
+    of_views = numbers_of(detections.stamps_ns) if numbered else detections.stamps_ns
+    stamps_ns = np.repeat(of_views, np.diff(detections.view_start))
     with write_aside(path) as file:
-        file.write(_HEADER + "\n")
+        file.write((_NUMBERED_HEADER if numbered else _HEADER) + "\n")
         for start in range(0, detections.n_corners, _ROWS_PER_WRITE):
             rows = slice(start, start + _ROWS_PER_WRITE)
             x_px, y_px = detections.corners_px[rows].T.tolist()
@@ -65,7 +69,8 @@ def stated_tags(path: Path) -> StatedTags | None:
     """What the detections of one camera say of their board, None where they name no tags. Raises GtcalError where they
     can't be read."""
     files = sorted(path.glob("*.csv")) if path.is_dir() else [path]
-    tables = [(table, _layout(table)) for table in (open_table(file, ",") for file in files)]
+    known = _LAYOUTS + _NUMBERED_LAYOUTS
+    tables = [(table, _layout(table, known)) for table in (open_table(file, ",") for file in files)]
     rows = [table.read(layout.columns) for table, layout in tables if ("tag_id", "integer") in layout.columns]
     if not rows:
         return None
@@ -148,6 +153,7 @@ def _corner_ids_of_aprilgrid(table: TextTable, rows: npt.NDArray, board: Cornere
 
 
 _STAMP: tuple[str, Kind] = ("timestamp_ns", "stamp")
+_NUMBER: tuple[str, Kind] = ("number", "integer")
 _PIXEL: tuple[tuple[str, Kind], ...] = (("x_px", "number"), ("y_px", "number"))
 _LAYOUTS = (
     _Layout((_STAMP, ("corner_id", "integer"), *_PIXEL), ("x_px", "y_px"), _corner_ids_as_given),
@@ -167,27 +173,47 @@ _LAYOUTS = (
         _corner_ids_of_aprilgrid,
     ),
 )
+_NUMBERED_LAYOUTS = tuple(replace(layout, columns=(_NUMBER, *layout.columns[1:])) for layout in _LAYOUTS[:2])
 
 
-def _read_file(path: Path, board: Cornered, camera: Camera) -> _Part:
+def _read_file(path: Path, board: Cornered, camera: Camera, numbered: bool) -> _Part:
     table = open_table(path, ",")
-    layout = _layout(table)
+    layout = _layout(table, _NUMBERED_LAYOUTS if numbered else _LAYOUTS)
     rows = table.read(layout.columns)
     corners_px = np.stack([rows[name] for name in layout.pixel], axis=1)
-    stamps_ns = table.stamps_ns(rows[layout.columns[0][0]], "ns")
+    of_views = rows[layout.columns[0][0]]
+    stamps_ns = _stamps_of_numbers(table, of_views) if numbered else table.stamps_ns(of_views, "ns")
     _check_in_image(table, corners_px, camera)
     return _Part(table, stamps_ns, layout.corner_ids(table, rows, board), corners_px)
 
 
-def _layout(table: TextTable) -> _Layout:
-    for layout in _LAYOUTS:
-        if table.header() == tuple(name for name, _ in layout.columns):
+def _stamps_of_numbers(table: TextTable, numbers: IntArray) -> IntArray:
+    bad = np.flatnonzero((numbers < 0) | (numbers > LARGEST_NUMBER))
+    if len(bad):
+        raise table.error(
+            int(bad[0]),
+            f"number is {numbers[bad[0]]}; expected an image's, 0 to {LARGEST_NUMBER} (is it a time?)",
+        )
+    return stamps_of(numbers)
+
+
+def _layout(table: TextTable, layouts: tuple[_Layout, ...]) -> _Layout:
+    for layout in layouts:
+        if table.header() == _names(layout):
             return layout
-    known = " or ".join(",".join(name for name, _ in layout.columns) for layout in _LAYOUTS[:2])
+    hint = ""
+    if table.header() in map(_names, _LAYOUTS):
+        hint = "; numbered: true, but these corners have time stamps"
+    elif table.header() in map(_names, _NUMBERED_LAYOUTS):
+        hint = "; these corners go by number: set numbered: true"
     raise GtcalError(
         f"{table.path}:1: the header is {','.join(table.header())!r}, not that of a file of detections; "
-        f"expected {known}"
+        f"expected {' or '.join(','.join(_names(layout)) for layout in layouts[:2])}{hint}"
     )
+
+
+def _names(layout: _Layout) -> tuple[str, ...]:
+    return tuple(name for name, _ in layout.columns)
 
 
 def _check_in_image(table: TextTable, corners_px: FloatArray, camera: Camera) -> None:
@@ -201,26 +227,29 @@ def _check_in_image(table: TextTable, corners_px: FloatArray, camera: Camera) ->
         )
 
 
-def _joined(parts: list[_Part], board: Cornered, camera: Camera) -> CameraDetections:
+def _joined(parts: list[_Part], board: Cornered, numbered: bool) -> CameraDetections:
     """The parts as one, in order of time; within a view in the order of the files."""
     stamps_ns = np.concatenate([part.stamps_ns for part in parts])
     corner_ids = np.concatenate([part.corner_ids for part in parts])
     corners_px = np.concatenate([part.corners_px for part in parts])
-    _check_unique(parts, stamps_ns, corner_ids, board)
+    _check_unique(parts, stamps_ns, corner_ids, board, numbered)
     order = np.argsort(stamps_ns, kind="stable")
     view_stamps_ns, counts = np.unique(stamps_ns, return_counts=True)
     view_start = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
     return CameraDetections(view_stamps_ns, view_start, corner_ids[order], corners_px[order])
 
 
-def _check_unique(parts: list[_Part], stamps_ns: IntArray, corner_ids: IntArray, board: Cornered) -> None:
+def _check_unique(
+    parts: list[_Part], stamps_ns: IntArray, corner_ids: IntArray, board: Cornered, numbered: bool
+) -> None:
     order = np.lexsort((corner_ids, stamps_ns))
     same = (np.diff(stamps_ns[order]) == 0) & (np.diff(corner_ids[order]) == 0)
     if not same.any():
         return
     row = int(order[1:][same].min())
-    name, stamp_ns = board.corner_name(int(corner_ids[row])), stamps_ns[row]
+    name = board.corner_name(int(corner_ids[row]))
+    view = f"of image {numbers_of(stamps_ns)[row]}" if numbered else f"at {stamps_ns[row]} ns"
     for part in parts:
         if row < len(part.stamps_ns):
-            raise part.table.error(row, f"{name} appears twice in the view at {stamp_ns} ns")
+            raise part.table.error(row, f"{name} appears twice in the view {view}")
         row -= len(part.stamps_ns)

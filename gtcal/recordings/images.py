@@ -19,6 +19,7 @@ from gtcal.documents import read_text
 from gtcal.errors import GtcalError
 from gtcal.files import IMAGE_BYTES, is_there, read_bytes, write_text
 from gtcal.recordings.detections import IntArray
+from gtcal.recordings.numbering import number_of_name, stamps_of
 
 GreyImage = npt.NDArray[np.uint8]
 
@@ -76,12 +77,14 @@ class ImageSequence:
     paths: the V files.
     size_px: (width, height) that every image must have; None where any size will do.
     notes: what was taken otherwise than it was named, one sentence each, for the user to see.
+    numbered: whether the stamps stand for the numbers in the files' names (``gtcal.recordings.numbering``).
     """
 
     stamps_ns: IntArray
     paths: tuple[Path, ...]
     size_px: tuple[int, int] | None = None
     notes: tuple[str, ...] = ()
+    numbered: bool = False
 
     def __len__(self) -> int:
         return len(self.paths)
@@ -111,7 +114,7 @@ class ImageSequence:
         return ""
 
     def entry(self, camera: str, folder: Path) -> dict[str, Any]:
-        """A folder of images named by their time stamps needs no list.
+        """A folder of images named by their time stamps, or their numbers, needs no list.
 
         Raises GtcalError where the images are in several folders, or the list can't be written."""
         if len(self.inputs) != 1:
@@ -119,7 +122,7 @@ class ImageSequence:
         (image_dir,) = self.inputs
         where = relative(image_dir, folder)
         stamped = [path.stem == str(stamp) for stamp, path in zip(self.stamps_ns, self.paths, strict=True)]
-        if all(stamped) and len(image_folder(image_dir)) == len(self):
+        if self.numbered or (all(stamped) and len(image_folder(image_dir)) == len(self)):
             return {"images": where}
         listing = f"{camera}_images.csv"
         rows = (f"{stamp},{path.name}\n" for stamp, path in zip(self.stamps_ns, self.paths, strict=True))
@@ -242,6 +245,29 @@ def image_folder(folder: Path) -> ImageSequence:
     return ImageSequence(stamps_ns, tuple(path for _, path in stamped))
 
 
+def numbered_folder(folder: Path) -> ImageSequence:
+    """The images of a folder, each named by a number (its last digits), as frame_0012.png; in order of these.
+
+    Raises GtcalError where the folder is missing or has no images, a name has no number, or two share one."""
+    if not folder.is_dir():
+        raise GtcalError(f"{folder}: there is no such folder of images")
+    numbered = sorted((_number_of(path), path) for path in _images_in(folder))
+    if not numbered:
+        raise GtcalError(f"{folder}: holds no images ({', '.join(IMAGE_SUFFIXES)})")
+    for (number, path), (next_number, next_path) in pairwise(numbered):
+        if number == next_number:
+            raise GtcalError(f"{folder}: {path.name} and {next_path.name} have the same number {number}")
+    numbers = np.array([number for number, _ in numbered], dtype=np.int64)
+    return ImageSequence(stamps_of(numbers), tuple(path for _, path in numbered), numbered=True)
+
+
+def _number_of(path: Path) -> int:
+    try:
+        return number_of_name(path.name)
+    except GtcalError as error:
+        raise GtcalError(f"{path}: {error}") from None
+
+
 def image_list(listing: Path, folder: Path | None = None) -> ImageSequence:
     """The images that a CSV 'timestamp [ns],filename' (EuRoC's data.csv) lists.
 
@@ -312,7 +338,8 @@ def _check_no_frame_counter(where: Path, stamps_ns: IntArray) -> None:
     if len(stamps_ns) > 1 and np.median(np.diff(stamps_ns)) < _SHORTEST_INTERVAL_NS:
         raise GtcalError(
             f"{where}: the images' time stamps are {int(np.median(np.diff(stamps_ns)))} ns apart, so these are "
-            "frame numbers or another unit; expected ns. List the images in a CSV 'timestamp [ns],filename'"
+            "frame numbers or another unit; expected ns. Of frame numbers, list the images in a CSV 'timestamp "
+            "[ns],filename', or set numbered: true where there is one pose for each image"
         )
 
 

@@ -31,8 +31,9 @@ from gtcal.documents import load_document
 from gtcal.errors import GtcalError
 from gtcal.files import check_regular, is_there, write_text
 from gtcal.names import fault_of_name, shown
-from gtcal.readers import TRAJECTORY_READERS, BodySelection
+from gtcal.readers import TRAJECTORY_READERS, BodySelection, pose_list
 from gtcal.readers.mocap_take import RotationKind
+from gtcal.readers.pose_list import AngleUnit
 from gtcal.readers.poses import LengthUnit, PoseConventions, PoseDirection, TimeUnit
 from gtcal.recordings.capture import Capture, check_bodies
 from gtcal.recordings.layouts import LAYOUTS, expanded, find_layout
@@ -56,7 +57,7 @@ def _choice(what: str, choices: Iterable[str]) -> tuple[AfterValidator, WithJson
 
 
 CameraModelName = Annotated[str, *_choice("a camera model", CAMERA_MODELS)]
-TrajectoryFormat = Annotated[str, *_choice("a trajectory format", TRAJECTORY_READERS)]
+TrajectoryFormat = Annotated[str, *_choice("a trajectory format", (*TRAJECTORY_READERS, pose_list.FORMAT))]
 LayoutName = Annotated[str, *_choice("a layout", LAYOUTS)]
 LAYOUT_DESCRIPTION = (
     "euroc: the folder is laid out as EuRoC's, ASL's or TUM-VI's; cameras and tracked bodies, as far as they are not "
@@ -226,7 +227,11 @@ class TrajectoryEntry(Entry):
         "first one.",
     )
     rotation: RotationKind | None = Field(
-        default=None, description="How rotations are written. Needed for Vicon's segments."
+        default=None,
+        description="How rotations are written. Needed for Vicon's segments, and for three angles in a pose_list.",
+    )
+    angle_unit: AngleUnit | None = Field(
+        default=None, description="Unit of the angles of a pose_list. Needed where the file's header doesn't say."
     )
     stamp_offset_ns: int = Field(
         default=0,
@@ -265,6 +270,11 @@ class Manifest(Entry):
         "flatness_mm (1-sigma of bow and twist) say how near to that it is, else it counts as printed and glued."
     )
     layout: LayoutName | None = Field(default=None, description=LAYOUT_DESCRIPTION)
+    numbered: bool = Field(
+        default=False,
+        description="Images, corners and poses go together by number, one pose for each image (format pose_list): "
+        "there are no time stamps, so nothing is interpolated, and there is no clock.",
+    )
     cameras: dict[CameraName, CameraEntry] = Field(min_length=1, description="The cameras by name.")
     platform: TrajectoryEntry | None = Field(default=None, description="The tracked body that carries the cameras.")
     board_body: TrajectoryEntry | None = Field(default=None, description="The tracked body that carries the board.")
@@ -365,9 +375,41 @@ def manifest_of(path: Path, data: dict[str, Any]) -> Manifest:
     try:
         check_bodies(Capture(manifest.capture), set(manifest.bodies))
         check_sources(manifest.cameras)
+        _check_numbered(manifest)
     except GtcalError as error:
         raise GtcalError(f"{path}: {error}") from None
     return manifest
+
+
+def _check_numbered(manifest: Manifest) -> None:
+    """Raises GtcalError where a numbered recording states what only time has, or another what only numbers have."""
+    for name, body in manifest.bodies.items():
+        if not manifest.numbered and body.format == pose_list.FORMAT:
+            raise GtcalError(
+                f"{name}.format: a {pose_list.FORMAT} has no time stamps; where its poses go with the images by "
+                "number, set numbered: true"
+            )
+        if manifest.numbered and body.format != pose_list.FORMAT:
+            raise GtcalError(
+                f"{name}.format: numbered: true takes a {pose_list.FORMAT}, one pose for each image; leave numbered "
+                f"out where the poses of {body.format} have the images' clock"
+            )
+        if body.angle_unit is not None and body.format != pose_list.FORMAT:
+            raise GtcalError(f"{name}.angle_unit: belongs to format {pose_list.FORMAT}")
+    if manifest.numbered:
+        _check_without_time(manifest)
+
+
+def _check_without_time(manifest: Manifest) -> None:
+    of_time = {"layout": manifest.layout, "max_gap_ms": manifest.max_gap_ms}
+    for name, camera in manifest.cameras.items():
+        fields = ("image_list", "video", "bag", "vrs", "rolling_shutter", "stamp_offset_ns")
+        of_time |= {f"cameras.{name}.{field}": getattr(camera, field) for field in fields}
+    for name, body in manifest.bodies.items():
+        of_time |= {f"{name}.stamp_offset_ns": body.stamp_offset_ns or None}
+    for where, value in of_time.items():
+        if value is not None:
+            raise GtcalError(f"{where}: has to do with time, which a numbered recording has not; leave it out")
 
 
 def load_fields(path: Path) -> dict[str, Any]:
@@ -392,6 +434,8 @@ def validated(path: Path, data: dict[str, Any], kind: type[M]) -> M:
 def write_manifest(path: Path, manifest: Entry) -> None:
     """Write a manifest as YAML, without the fields at None. Raises GtcalError where its folder takes no files."""
     data = manifest.model_dump(exclude_none=True)
+    if not data.get("numbered", True):
+        del data["numbered"]
     write_text(path, yaml.safe_dump(data, sort_keys=False, default_flow_style=None, width=120))
 
 

@@ -18,13 +18,14 @@ from gtcal.camera_files.rig import ReadOptions, Rig, RigCamera, agreeing
 from gtcal.camera_files.ros import plain_name
 from gtcal.errors import GtcalError
 from gtcal.files import InputFile, check_regular, fingerprint
-from gtcal.readers import TRAJECTORY_READERS
+from gtcal.readers import TRAJECTORY_READERS, pose_list
 from gtcal.readers.mocap_exports import EXPORT_WRITERS, MocapFormat
+from gtcal.readers.pose_list import read_pose_list, write_pose_list
 from gtcal.recordings.bag_images import bag_images
 from gtcal.recordings.capture import Capture, RefMotion
 from gtcal.recordings.detection_files import read_detections, write_detections
-from gtcal.recordings.detections import CameraDetections, Cornered
-from gtcal.recordings.images import Images, first_whole, image_folder, image_list, shifted
+from gtcal.recordings.detections import CameraDetections, Cornered, IntArray
+from gtcal.recordings.images import Images, first_whole, image_folder, image_list, numbered_folder, shifted
 from gtcal.recordings.layouts import lens_files
 from gtcal.recordings.manifest import (
     MANIFEST_NAMES,
@@ -38,6 +39,7 @@ from gtcal.recordings.manifest import (
     read_manifest,
     write_manifest,
 )
+from gtcal.recordings.numbering import numbers_of, stamps_of
 from gtcal.recordings.trajectory import Trajectory
 from gtcal.recordings.video_images import video_images
 from gtcal.recordings.vrs_images import vrs_images
@@ -63,6 +65,7 @@ class Recording:
     max_gap_s: the longest gap in a trajectory to interpolate across; None for each trajectory's own default.
     inputs: the files that it was read from, images excepted.
     board_tolerance: how near the board is to what is stated of it.
+    numbered: whether images, corners and poses go together by number, in place of time.
     Raises GtcalError where a camera has neither images nor detections, detections or images belong to no camera,
     or the trajectories are not those of the capture.
     """
@@ -78,6 +81,7 @@ class Recording:
     max_gap_s: float | None = None
     inputs: tuple[InputFile, ...] = ()
     board_tolerance: BoardTolerance = field(default_factory=BoardTolerance)
+    numbered: bool = False
 
     def __post_init__(self) -> None:
         for what, owners in (("detections", self.detections), ("images", self.images)):
@@ -94,7 +98,7 @@ class Recording:
     @cached_property
     def motion(self) -> RefMotion:
         """ref_T_body over time."""
-        return RefMotion(self.capture, self.platform, self.board_body, self.max_gap_s)
+        return RefMotion(self.capture, self.platform, self.board_body, self.max_gap_s, self.numbered)
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -118,7 +122,7 @@ def load_recording(path: Path | str) -> Recording:
 
 def recording_of(manifest_path: Path, manifest: Manifest) -> Recording:
     """What a manifest at this path describes. Raises GtcalError as ``load_recording``."""
-    loader = Loader(manifest_path, manifest.layout)
+    loader = Loader(manifest_path, manifest.layout, numbered=manifest.numbered)
     board = loader.board(manifest.board)
     cameras = {name: loader.camera(name, entry) for name, entry in manifest.cameras.items()}
     detections = {
@@ -129,7 +133,8 @@ def recording_of(manifest_path: Path, manifest: Manifest) -> Recording:
     images = {
         name: loader.images(name, entry, cameras[name]) for name, entry in manifest.cameras.items() if entry.has_images
     }
-    trajectories = {name: loader.trajectory(name, entry) for name, entry in manifest.bodies.items()}
+    stamps_ns = _all_stamps_ns({**detections, **images})
+    trajectories = {name: loader.trajectory(name, entry, stamps_ns) for name, entry in manifest.bodies.items()}
     loader.check_millimetres(manifest.bodies, trajectories)
     return Recording(
         path=manifest_path,
@@ -143,7 +148,13 @@ def recording_of(manifest_path: Path, manifest: Manifest) -> Recording:
         max_gap_s=None if manifest.max_gap_ms is None else manifest.max_gap_ms / 1000,
         inputs=tuple(fingerprint(file) for file in loader.used),
         board_tolerance=loader.board_tolerance(manifest.board),
+        numbered=manifest.numbered,
     )
+
+
+def _all_stamps_ns(seen: Mapping[str, CameraDetections | Images]) -> IntArray:
+    """Of the images of all cameras, or where they have none of their views, increasing."""
+    return np.unique(np.concatenate([of_camera.stamps_ns for of_camera in seen.values()]))
 
 
 def write_recording(recording: Recording, folder: Path | str, *, mocap_format: MocapFormat = "euroc_csv") -> Path:
@@ -154,12 +165,17 @@ def write_recording(recording: Recording, folder: Path | str, *, mocap_format: M
     Raises GtcalError where the folder can't be written, or the format can't hold the trajectories."""
     folder = Path(folder)
     for name, detections in recording.detections.items():
-        write_detections(folder / detections_name(name), detections)
-    bodies = body_entries(folder, recording.motion.trajectories, mocap_format)
+        write_detections(folder / detections_name(name), detections, numbered=recording.numbered)
+    bodies = (
+        numbered_entries(folder, recording.motion.trajectories)
+        if recording.numbered
+        else body_entries(folder, recording.motion.trajectories, mocap_format)
+    )
     manifest = Manifest(
         gtcal_recording=1,
         capture=recording.capture.value,
         board=recording.board.to_manifest(),
+        numbered=recording.numbered,
         cameras={
             name: camera_entry(camera, recording.images.get(name), folder, with_detections=name in recording.detections)
             for name, camera in recording.cameras.items()
@@ -190,11 +206,18 @@ def body_entries(
     }
 
 
-class Loader:
-    """Reads what a manifest points to, and remembers which files those were."""
+def numbered_entries(folder: Path, bodies: Mapping[str, Trajectory]) -> dict[str, TrajectoryEntry]:
+    """Write the poses of bodies by number into the folder; the entries of a manifest there, by body."""
+    for name, trajectory in bodies.items():
+        write_pose_list(folder / f"{name}.csv", numbers_of(trajectory.stamps_ns), trajectory.world_T_body)
+    return {name: TrajectoryEntry(trajectory=f"{name}.csv", format=pose_list.FORMAT) for name in bodies}
 
-    def __init__(self, manifest_path: Path, layout: str | None = None) -> None:
-        self.manifest_path = manifest_path
+
+class Loader:
+    """Reads what a manifest points to, and remembers which files those were. numbered: whether by number."""
+
+    def __init__(self, manifest_path: Path, layout: str | None = None, *, numbered: bool = False) -> None:
+        self.manifest_path, self.numbered = manifest_path, numbered
         self.used = [manifest_path, *(lens_files(manifest_path.parent) if layout is not None else ())]
 
     def board(self, block: dict[str, object]) -> Board:
@@ -270,7 +293,7 @@ class Loader:
     def detections(self, name: str, given: str, board: Cornered, camera: Camera) -> CameraDetections:
         path = self._existing(f"cameras.{name}.detections", given)
         self.used.append(path)
-        return read_detections(path, board, camera)
+        return read_detections(path, board, camera, numbered=self.numbered)
 
     def images(self, name: str, entry: CameraEntry, camera: Camera) -> Images:
         images = self._images(f"cameras.{name}", entry).expecting(camera.image_width_px, camera.image_height_px)
@@ -291,11 +314,20 @@ class Loader:
             self.used.append(listing)
             return shifted(image_list(listing, folder), offset_ns)
         assert folder is not None  # the manifest's own check
+        if self.numbered:
+            return numbered_folder(folder)
         return shifted(image_folder(folder), offset_ns)
 
-    def trajectory(self, name: str, entry: TrajectoryEntry) -> Trajectory:
+    def trajectory(self, name: str, entry: TrajectoryEntry, image_stamps_ns: IntArray | None = None) -> Trajectory:
+        """Of a tracked body. image_stamps_ns: of all images, increasing, what poses by number are for; else a list
+        without numbers counts from 1."""
         path = self._existing(f"{name}.trajectory", entry.trajectory)
         self.used.append(path)
+        if self.numbered:
+            listed = read_pose_list(path, name, entry.conventions, entry.selection, entry.angle_unit)
+            given = None if image_stamps_ns is None else numbers_of(image_stamps_ns)
+            numbers, world_T_body = listed.for_images(name, listed.counted if given is None else given)
+            return Trajectory(name, stamps_of(numbers), world_T_body)
         return TRAJECTORY_READERS[entry.format](path, name, entry.conventions, entry.selection)
 
     def check_millimetres(self, bodies: dict[str, TrajectoryEntry], trajectories: dict[str, Trajectory]) -> None:

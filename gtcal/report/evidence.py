@@ -17,8 +17,10 @@ from gtcal.errors import GtcalError
 from gtcal.estimation.observations import Dropped, Views, synchronise
 from gtcal.estimation.residuals import chain_residuals_px, norms
 from gtcal.estimation.screening import keep_all, screen
+from gtcal.estimation.told_apart import told_apart_by
 from gtcal.progress import Progress, silent
 from gtcal.recordings.detections import IntArray
+from gtcal.recordings.numbering import numbers_of
 from gtcal.recordings.recording import Recording
 from gtcal.results.calibration import Calibration, ResidualStatistics
 from gtcal.workflow import detected
@@ -31,13 +33,15 @@ class CameraEvidence:
     camera: as calibrated.
     views: all V views with a mocap pose, with all their N corners.
     residuals_px: (N, 2) projection less measurement, NaN where the model has no pixel.
-    keep_view, keep_corner: (V,), (N,) what the screening for gross errors left in."""
+    keep_view, keep_corner: (V,), (N,) what the screening for gross errors left in.
+    numbered: whether the views go by number, and not by time."""
 
     camera: Camera
     views: Views
     residuals_px: FloatArray
     keep_view: BoolArray
     keep_corner: BoolArray
+    numbered: bool = False
 
     @cached_property
     def shown(self) -> BoolArray:
@@ -73,8 +77,10 @@ class CameraEvidence:
 
     @property
     def times_s(self) -> FloatArray:
-        """(V,) since the first view."""
+        """(V,) since the first view; the images' numbers where they go by these."""
         stamps_ns: IntArray = self.views.stamps_ns
+        if self.numbered:
+            return numbers_of(stamps_ns).astype(np.float64)
         return (stamps_ns - stamps_ns[0]) * 1e-9
 
     @property
@@ -112,8 +118,9 @@ def gather_evidence(calibration: Calibration, recording: Recording, *, progress:
     # With the recording's own lenses, as the calibration detected: what was found then is kept for them.
     recording = detected(_with_cameras(recording, list(calibration.cameras)), progress=progress)
     lenses = {name: calibrated.camera for name, calibrated in calibration.cameras.items()}
-    observations = on_clock_of(calibration, synchronise(replace(recording, cameras=lenses)))
     estimate = calibration.estimate
+    synchronised = told_apart_by(synchronise(replace(recording, cameras=lenses)), estimate)
+    observations = on_clock_of(calibration, synchronised)
     screening = screen if calibration.provenance.options.get("screen", True) else keep_all
     screened = screening(observations.views, estimate)
     cameras = {
@@ -123,6 +130,7 @@ def gather_evidence(calibration: Calibration, recording: Recording, *, progress:
             residuals_px=chain_residuals_px(views, estimate),
             keep_view=screened.keep_view[name],
             keep_corner=screened.keep_corner[name],
+            numbered=recording.numbered,
         )
         for name, views in observations.views.items()
     }

@@ -48,14 +48,15 @@ def residual_pictures(evidence: CameraEvidence) -> tuple[Picture, ...]:
 
 def over_time(evidence: CameraEvidence) -> Picture:
     """RMSE of each view against time, with those left out; drift, a bumped camera and gross mocap poses show."""
-    times, unit = in_readable_unit(evidence.times_s)
+    times, unit = (evidence.times_s, "") if evidence.numbered else in_readable_unit(evidence.times_s)
+    over = "number of the image" if evidence.numbered else f"time since the first view, {unit}"
     rmse_px, keep = evidence.rmse_of_views_px, evidence.keep_view
     with styled_figure() as figure:
         axes = figure.add_subplot()
         top_px = max(1.25 * float(np.quantile(rmse_px[keep & np.isfinite(rmse_px)], 0.999)), LEAST_SPAN_PX)
         _kept_over_time(axes, times[keep], rmse_px[keep])
         _left_out_over_time(axes, times[~keep], np.minimum(rmse_px[~keep], 0.97 * top_px))
-        axes.set(xlabel=f"time since the first view, {unit}", ylabel="RMSE of a view, px", ylim=(0, top_px))
+        axes.set(xlabel=over, ylabel="RMSE of a view, px", ylim=(0, top_px))
         axes.margins(x=0.01)
         if not keep.all():
             axes.legend(loc="upper left", bbox_to_anchor=(0, 1.13), ncols=2, handletextpad=0.2, borderaxespad=0)

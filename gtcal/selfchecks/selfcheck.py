@@ -15,6 +15,7 @@ from gtcal.estimation.options import CalibrationOptions
 from gtcal.estimation.solver import calibrate_observations
 from gtcal.progress import Progress, silent
 from gtcal.recordings.detections import IntArray
+from gtcal.recordings.numbering import numbers_of
 from gtcal.recordings.recording import Recording
 from gtcal.results.calibration import Calibration, Provenance
 from gtcal.results.provenance import provenance
@@ -135,6 +136,9 @@ def _not_predicted(
 
 
 def _block(observations: Observations, blocks: IntArray, k: int) -> str:
+    if observations.motion.numbered:
+        numbers = numbers_of(observations.frame_stamps_ns)[blocks == k]
+        return f"block {k + 1} of {int(blocks.max()) + 1} (images {numbers[0]} to {numbers[-1]})"
     frames_s = 1e-9 * (observations.frame_stamps_ns - observations.frame_stamps_ns[0])[blocks == k]
     return f"block {k + 1} of {int(blocks.max()) + 1} ({frames_s[0]:.2f} to {frames_s[-1]:.2f} s)"
 

@@ -45,7 +45,7 @@ class Features:
 
 def features_of(board: Board) -> Features:
     """The features of a board: of a tag grid its tags; of a ChArUco board its corners, each with half a square
-    around it."""
+    around it, as of the others."""
     if isinstance(board, TagGrid):
         return Features(board.corners_m.reshape(-1, 4, 3), np.arange(board.n_corners) // 4)
     half_m = 0.5 * board.clear_reach_m

@@ -12,10 +12,10 @@ import numpy as np
 
 from gtcal.board import ArucoGrid
 from gtcal.camera import BoolArray, Camera, FloatArray
+from gtcal.detection.corner_search import SeenBoard
 from gtcal.detection.refinement import RefinedCorners, refine_corners
 from gtcal.detection.sight import board_image, sight_of
 from gtcal.detection.tags import FoundTags, module_centres_m, read_codes, read_tags
-from gtcal.detection.view_detection import SeenBoard
 from gtcal.recordings.detections import IntArray
 from gtcal.recordings.images import GreyImage
 from gtcal.verification.lollypop import Lollypop
