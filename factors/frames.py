@@ -20,7 +20,8 @@ from factors.board_shape import FLAT, N_SHAPE
 from factors.camera_models import CameraModel
 from factors.kernel import kernel
 from factors.moments import chain, transport_view, triangular_factor
-from factors.reprojection import CornerViews, FloatArray, IntArray, Jacobians, view_moments
+from factors.reprojection import CornerViews, Jacobians, view_moments
+from factors.reprojection_kernels import FloatArray, IntArray
 from factors.rigid import pose_at
 from factors.robust import GAUSSIAN, AnyKernel
 

@@ -23,7 +23,8 @@ from factors.board_shape import FLAT, N_SHAPE
 from factors.frames import CameraFrames, add_views
 from factors.moments import chain, triangular_factor
 from factors.noise_chain import NoiseChain
-from factors.reprojection import CornerViews, FloatArray, IntArray, Jacobians, view_moments
+from factors.reprojection import CornerViews, Jacobians, view_moments
+from factors.reprojection_kernels import FloatArray, IntArray
 from factors.rigid import exponential, pose_at, right_jacobian
 from factors.robust import GAUSSIAN, AnyKernel
 

@@ -11,7 +11,8 @@ import math
 import gtsam
 import numpy as np
 
-from factors.reprojection import FloatArray, Jacobians
+from factors.reprojection import Jacobians
+from factors.reprojection_kernels import FloatArray
 
 
 class CorrelatedNoiseFactor(gtsam.CustomFactor):

@@ -9,7 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from factors.camera_models import CameraModel
-from factors.reprojection import FloatArray, Jacobians
+from factors.reprojection import Jacobians
+from factors.reprojection_kernels import FloatArray
 
 
 def weak_intrinsics_prior(
@@ -21,12 +22,13 @@ def weak_intrinsics_prior(
     sigma_centre_px: float = 50.0,
     sigma_distortion: float = 0.5,
 ) -> gtsam.NonlinearFactor:
-    """The paper's prior: principal point to the image centre, distortion to zero, focal length free.
+    """The paper's prior: principal point to the image centre, distortion to zero (of a model that has no zero, to the
+    lens that it starts from), focal length free.
 
     The paper names no sigmas; the defaults are wide enough not to move what the data determine.
 
     Raises ValueError for a sigma that is not positive."""
-    mean = np.zeros(model.n_parameters)
+    mean = np.concatenate([np.zeros(4), model.undistorted])
     mean[2:4] = (image_width_px - 1) / 2, (image_height_px - 1) / 2
     sigmas = np.full(model.n_parameters, sigma_distortion)
     sigmas[2:4] = sigma_centre_px

@@ -29,17 +29,13 @@ from typing import Any
 
 import gtsam
 import numpy as np
-import numpy.typing as npt
 
-from factors.board_shape import FLAT, N_SHAPE, shape_columns, shaped_corner
-from factors.camera_models import CameraModel, field_limit, project_point
-from factors.kernel import inlined, kernel
+from factors.board_shape import FLAT, N_SHAPE
+from factors.camera_models import CameraModel
 from factors.moments import chain, transport, triangular_factor
-from factors.rigid import adjoint_of_inverse, compose, pose_at
-from factors.robust import CALLED_BACK, GAUSSIAN, MEASURED, AnyKernel, CalledBackKernel, robust_loss_and_weight
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
+from factors.reprojection_kernels import FloatArray, IntArray, view_kernels
+from factors.rigid import pose_at
+from factors.robust import GAUSSIAN, MEASURED, AnyKernel, CalledBackKernel
 
 _NO_OUTLINE = np.array([0.0, 0.0, 1.0, 1.0])
 _NOT_CALLED_BACK = np.empty((0, 2))
@@ -100,157 +96,6 @@ class ViewMoments:
     n_invalid: IntArray
 
 
-@inlined
-def _corner_residual(
-    model_id: int,
-    theta: FloatArray,
-    limit: float,
-    T: FloatArray,
-    stated_X: float,
-    stated_Y: float,
-    stated_Z: float,
-    outline_m: FloatArray,
-    shape: FloatArray,
-    measured_x: float,
-    measured_y: float,
-    rows: FloatArray,
-    J_point: FloatArray,
-    J_theta: FloatArray,
-    with_theta: bool,
-    with_shape: bool,
-) -> bool:
-    """Write [J r] of the corner stated at (X, Y, Z) in the board frame, in px, into rows (2, D); columns as in
-    ViewMoments, T = camera_T_board. Whether the corner has a pixel."""
-    X, Y, Z = shaped_corner(outline_m, shape, stated_X, stated_Y, stated_Z)
-    x = T[0, 0] * X + T[0, 1] * Y + T[0, 2] * Z + T[0, 3]
-    y = T[1, 0] * X + T[1, 1] * Y + T[1, 2] * Z + T[1, 3]
-    z = T[2, 0] * X + T[2, 1] * Y + T[2, 2] * Z + T[2, 3]
-    px, py, valid = project_point(model_id, theta, limit, x, y, z, J_point, J_theta, with_theta)
-    last = rows.shape[1] - 1
-    if math.isnan(px):
-        rows[:] = 0.0
-        rows[0, last] = rows[1, last] = 2.0 * theta[0]
-        return False
-    for i in range(2):
-        a, b, c = J_point[i, 0], J_point[i, 1], J_point[i, 2]
-        gx = a * T[0, 0] + b * T[1, 0] + c * T[2, 0]
-        gy = a * T[0, 1] + b * T[1, 1] + c * T[2, 1]
-        gz = a * T[0, 2] + b * T[1, 2] + c * T[2, 2]
-        rows[i, 0], rows[i, 1], rows[i, 2] = Y * gz - Z * gy, Z * gx - X * gz, X * gy - Y * gx
-        rows[i, 3], rows[i, 4], rows[i, 5] = gx, gy, gz
-        if with_theta:
-            for k in range(len(theta)):
-                rows[i, 6 + k] = J_theta[i, k]
-        if with_shape:
-            shape_columns(outline_m, stated_X, stated_Y, gx, gy, gz, rows[i], last - N_SHAPE)
-    rows[0, last], rows[1, last] = px - measured_x, py - measured_y
-    return valid
-
-
-@kernel
-def _sum_views(
-    model_id: int,
-    theta: FloatArray,
-    camera_T_board: FloatArray,
-    view_start: IntArray,
-    corners_m: FloatArray,
-    corners_px: FloatArray,
-    outline_m: FloatArray,
-    shape: FloatArray,
-    sigma_px: float,
-    kernel_id: int,
-    kernel_parameter: float,
-    with_theta: bool,
-    with_shape: bool,
-    with_moments: bool,
-    first_view: int,
-    end_view: int,
-    called_back: FloatArray,
-    moments: FloatArray,
-    loss: FloatArray,
-    n_invalid: IntArray,
-) -> None:
-    """``called_back`` (N, 2): loss and weight of each corner where the kernel is ``CALLED_BACK``; where it is
-    ``MEASURED``, its whitened distance is written into the first column."""
-    limit = field_limit(model_id, theta)
-    J_point, J_theta = np.empty((2, 3)), np.empty((2, len(theta)))
-    columns = 7 + (len(theta) if with_theta else 0) + (N_SHAPE if with_shape else 0)
-    rows, total = np.empty((2, columns)), np.empty((columns, columns))
-    last = columns - 1
-    for v in range(first_view, end_view):
-        T = camera_T_board[v]
-        total[:] = 0.0
-        loss_of_view, invalid = 0.0, 0
-        for n in range(view_start[v], view_start[v + 1]):
-            invalid += not _corner_residual(
-                model_id,
-                theta,
-                limit,
-                T,
-                corners_m[n, 0],
-                corners_m[n, 1],
-                corners_m[n, 2],
-                outline_m,
-                shape,
-                corners_px[n, 0],
-                corners_px[n, 1],
-                rows,
-                J_point,
-                J_theta,
-                with_theta,
-                with_shape,
-            )
-            distance = math.sqrt(rows[0, last] ** 2 + rows[1, last] ** 2) / sigma_px
-            if kernel_id == CALLED_BACK:
-                rho, weight = called_back[n, 0], called_back[n, 1]
-            elif kernel_id == MEASURED:
-                rho, weight, called_back[n, 0] = 0.0, 0.0, distance
-            else:
-                rho, weight = robust_loss_and_weight(kernel_id, kernel_parameter, distance)
-            loss_of_view += rho
-            if with_moments:
-                scale = weight / (sigma_px * sigma_px)
-                for a in range(columns):
-                    u, w = scale * rows[0, a], scale * rows[1, a]
-                    for b in range(a, columns):
-                        total[a, b] += u * rows[0, b] + w * rows[1, b]
-        loss[v], n_invalid[v] = loss_of_view, invalid
-        if with_moments:
-            for a in range(columns):
-                for b in range(a, columns):
-                    moments[v, a, b] = moments[v, b, a] = total[a, b]
-
-
-@kernel
-def _residuals(
-    model_id: int,
-    theta: FloatArray,
-    camera_T_board: FloatArray,
-    view_start: IntArray,
-    corners_m: FloatArray,
-    corners_px: FloatArray,
-    outline_m: FloatArray,
-    shape: FloatArray,
-    first_view: int,
-    end_view: int,
-    residuals_px: FloatArray,
-) -> None:
-    limit = field_limit(model_id, theta)
-    J_point, J_theta = np.empty((2, 3)), np.empty((2, len(theta)))
-    for v in range(first_view, end_view):
-        T = camera_T_board[v]
-        for n in range(view_start[v], view_start[v + 1]):
-            X, Y, Z = shaped_corner(outline_m, shape, corners_m[n, 0], corners_m[n, 1], corners_m[n, 2])
-            x = T[0, 0] * X + T[0, 1] * Y + T[0, 2] * Z + T[0, 3]
-            y = T[1, 0] * X + T[1, 1] * Y + T[1, 2] * Z + T[1, 3]
-            z = T[2, 0] * X + T[2, 1] * Y + T[2, 2] * Z + T[2, 3]
-            px, py, valid = project_point(model_id, theta, limit, x, y, z, J_point, J_theta, False)
-            if valid:
-                residuals_px[n, 0], residuals_px[n, 1] = px - corners_px[n, 0], py - corners_px[n, 1]
-            else:
-                residuals_px[n] = math.nan
-
-
 _most_threads = os.cpu_count() or 1
 
 
@@ -308,7 +153,7 @@ def view_moments(
     (moments has the shape (0, D, D)).
 
     Raises ValueError where the shapes do not fit."""
-    theta = model.as_theta(theta)
+    theta, kernels = model.as_theta(theta), view_kernels(model)
     camera_T_board = _poses_of(views, camera_T_board)
     columns = 7 + model.n_parameters * with_theta + N_SHAPE * with_shape
     n_views = views.n_views
@@ -317,8 +162,7 @@ def view_moments(
     called_back = np.empty((len(views.corners_m), 2)) if isinstance(robust, CalledBackKernel) else _NOT_CALLED_BACK
 
     def run(kernel_id: int, with_moments: bool, task: tuple[int, int]) -> None:
-        _sum_views(
-            model.model_id,
+        kernels.sum_views(
             theta,
             camera_T_board,
             views.view_start,
@@ -353,13 +197,13 @@ def residuals_px(
     NaN where a corner has no pixel.
 
     Raises ValueError where the shapes do not fit."""
-    theta = model.as_theta(theta)
+    theta, kernels = model.as_theta(theta), view_kernels(model)
     camera_T_board = _poses_of(views, camera_T_board)
     out = np.empty_like(views.corners_px)
 
     def run(task: tuple[int, int]) -> None:
         columns = views.view_start, views.corners_m, views.corners_px, views.outline_m, shape
-        _residuals(model.model_id, theta, camera_T_board, *columns, *task, out)
+        kernels.residuals(theta, camera_T_board, *columns, *task, out)
 
     _run_on_all_cores(run, views.view_start)
     return out
@@ -530,8 +374,7 @@ class _CornerResidual:
 
     def __call__(self, factor: gtsam.CustomFactor, values: gtsam.Values, jacobians: Jacobians) -> FloatArray:
         camera_T_ref, ref_T_body, body_T_board, theta, shape = self.variables.at(values)
-        rows = corner_rows(
-            self.model.model_id,
+        rows = view_kernels(self.model).corner_rows(
             self.model.as_theta(theta),
             camera_T_ref,
             ref_T_body[0],
@@ -547,61 +390,6 @@ class _CornerResidual:
         if jacobians is not None:
             self.variables.split(jacobians, rows[:, :-1])
         return rows[:, -1]
-
-
-@kernel
-def corner_rows(
-    model_id: int,
-    theta: FloatArray,
-    camera_T_ref: FloatArray,
-    ref_T_body: FloatArray,
-    body_T_board: FloatArray,
-    corner_m: FloatArray,
-    corner_px: FloatArray,
-    outline_m: FloatArray,
-    shape: FloatArray,
-    free_body: bool,
-    free_theta: bool,
-    free_shape: bool,
-) -> FloatArray:
-    """[J r] of one corner in px, shape (2, n + 1), in the variables' tangents as in ``reprojection_moments``."""
-    ref_T_board, camera_T_board = np.zeros((4, 4)), np.zeros((4, 4))
-    compose(ref_T_body, body_T_board, ref_T_board)
-    compose(camera_T_ref, ref_T_board, camera_T_board)
-    rest = 1 + (len(theta) if free_theta else 0) + (N_SHAPE if free_shape else 0)
-    n_blocks = 3 if free_body else 2
-    local = np.empty((2, 6 + rest))
-    _corner_residual(
-        model_id,
-        theta,
-        field_limit(model_id, theta),
-        camera_T_board,
-        corner_m[0],
-        corner_m[1],
-        corner_m[2],
-        outline_m,
-        shape,
-        corner_px[0],
-        corner_px[1],
-        local,
-        np.empty((2, 3)),
-        np.empty((2, len(theta))),
-        free_theta,
-        free_shape,
-    )
-    adjoint = np.empty((2, 6, 6))
-    adjoint_of_inverse(ref_T_board, adjoint[0])
-    adjoint_of_inverse(body_T_board, adjoint[1])
-    rows = np.empty((2, 6 * n_blocks + rest))
-    for i in range(2):
-        for p in range(n_blocks - 1):
-            for j in range(6):
-                value = 0.0
-                for k in range(6):
-                    value += local[i, k] * adjoint[p, k, j]
-                rows[i, 6 * p + j] = value
-        rows[i, 6 * (n_blocks - 1) :] = local[i]
-    return rows
 
 
 class CornerReprojectionFactor(gtsam.CustomFactor):

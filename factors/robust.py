@@ -162,6 +162,10 @@ class CalledBackKernel:
         """None that is known."""
         return math.nan
 
+    def document(self) -> dict[str, object]:
+        """What a file can hold of it."""
+        return {"name": self.name, "called_back": True}
+
     def losses_and_weights(self, distances: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         """(N, 2) rho and rho' / distance at distances (N,). Raises ValueError where one is not a finite number."""
         loss, weight = self.estimator.loss, self.estimator.weight

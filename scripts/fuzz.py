@@ -37,7 +37,7 @@ from mocap_files import CUBE_M, from_zero, markers_of, write_motive, write_quali
 from support import wandering_trajectory
 
 from gtcal.board import load_board
-from gtcal.camera_files.export import calibration_rig
+from gtcal.camera_files.calibration_rig import calibration_rig
 from gtcal.camera_files.formats import CAMERA_FILE_WRITERS, FOLDER_FORMATS, read_rig, write_rig
 from gtcal.cores import n_cores
 from gtcal.detection.detect import _read_cache, _write_cache

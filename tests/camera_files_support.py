@@ -9,7 +9,16 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from factors import FISHEYE62, FISHEYE624, KANNALA_BRANDT4, PINHOLE_RADTAN
+from factors import (
+    DOUBLE_SPHERE,
+    EXTENDED_UNIFIED,
+    FISHEYE62,
+    FISHEYE624,
+    KANNALA_BRANDT4,
+    MEI_OMNI,
+    PINHOLE_RADTAN,
+    PINHOLE_RATIONAL,
+)
 from gtcal.camera import Camera
 from gtcal.camera_files.formats import read_rig, write_rig
 from gtcal.camera_files.rig import ReadOptions, Rig, RigCamera
@@ -21,29 +30,40 @@ FISHEYE = [190.97, 190.97, 254.93, 256.9, 0.0034823894, 0.000715034, -0.00205323
 QUEST = [504.59, 504.59, 638.39, 509.42, 0.044, -0.0449, 0.0161, -0.0109, 0.0035, -0.00052, 0.00048, -4.7e-05]
 ARIA = [240.514, 240.514, 320.249, 240.451, -0.02863, 0.10544, -0.07701, 0.01677, -0.0006, -1e-04]
 ARIA += [0.00328, -0.00206, -0.00254, 7.0e-05, 0.0023, 2.6e-05]
+KINECT = [605.1, 604.9, 638.2, 366.4, 0.4617, -2.4713, 7e-4, -3e-4, 1.4119, 0.3413, -2.3014, 1.3436]
+TUM_VI_DS = [158.28600034966977, 158.2743455478755, 254.96116578191653, 256.8894394501779]
+TUM_VI_DS += [-0.17213086034353243, 0.5931177593944744]
+TUM_VI_EUCM = [191.14799836282189, 191.13150963902818, 254.9585771534443, 256.88154645599448]
+TUM_VI_EUCM += [0.6291060881178562, 1.0418067381860868]
+MIRROR = [820.0, 815.0, 320.0, 240.0, -0.2, 0.05, 1e-3, -8e-4, 1.2]
 LENSES = {
     "radtan": Camera("radtan", PINHOLE_RADTAN, np.array(RADTAN), 752, 480),
     "radtan k3": Camera("radtan_k3", PINHOLE_RADTAN, np.array(RADTAN_K3), 752, 480),
     "fisheye": Camera("fisheye", KANNALA_BRANDT4, np.array(FISHEYE), 512, 512),
     "fisheye62": Camera("fisheye62", FISHEYE62, np.array(QUEST), 1280, 1024),
     "fisheye624": Camera("fisheye624", FISHEYE624, np.array(ARIA), 640, 480),
+    "rational": Camera("rational", PINHOLE_RATIONAL, np.array(KINECT), 1280, 720),
+    "double sphere": Camera("double_sphere", DOUBLE_SPHERE, np.array(TUM_VI_DS), 512, 512),
+    "eucm": Camera("eucm", EXTENDED_UNIFIED, np.array(TUM_VI_EUCM), 512, 512),
+    "mei": Camera("mei", MEI_OMNI, np.array(MIRROR), 640, 480),
     "fisheye624 fx fy": Camera("fisheye624_fxfy", FISHEYE624, np.array([240.514, 241.514, *ARIA[2:]]), 640, 480),
 }
 HOLD: dict[str, set[str]] = {
-    "kalibr": {"radtan", "fisheye"},
-    "opencv": {"radtan", "radtan k3", "fisheye"},
-    "ros": {"radtan", "radtan k3", "fisheye"},
-    "ros_bag": {"radtan", "radtan k3", "fisheye"},
-    "colmap": set(LENSES),
+    "kalibr": {"radtan", "fisheye", "double sphere", "eucm", "mei"},
+    "basalt": {"radtan", "radtan k3", "rational", "fisheye", "double sphere", "eucm"},
+    "opencv": {"radtan", "radtan k3", "rational", "fisheye", "mei"},
+    "ros": {"radtan", "radtan k3", "rational", "fisheye"},
+    "ros_bag": {"radtan", "radtan k3", "rational", "fisheye"},
+    "colmap": set(LENSES) - {"double sphere", "mei"},
     "aria": {"fisheye", "fisheye62", "fisheye624"},
     "hot3d": {"fisheye", "fisheye62", "fisheye624", "fisheye624 fx fy"},
     "umetrack": {"fisheye", "fisheye62"},
-    "anipose": {"radtan", "radtan k3", "fisheye"},
+    "anipose": {"radtan", "radtan k3", "rational", "fisheye"},
     "pose2sim": {"radtan", "fisheye"},
     "numpy": set(LENSES),
 }
 """Which lenses each format holds exactly."""
-IN_FRONT = ("kalibr", "opencv", "ros", "ros_bag", "colmap", "anipose", "pose2sim")
+IN_FRONT = ("kalibr", "basalt", "opencv", "ros", "ros_bag", "colmap", "anipose", "pose2sim")
 """Formats whose tools project with OpenCV, or as it does: its fisheye knows nothing of what is behind the camera."""
 FILES = {
     "numpy": "rig.npz",
@@ -85,6 +105,13 @@ def points_in(camera: Camera, share: float = 0.95) -> np.ndarray:
     pixels = np.random.default_rng(1).uniform((1 - share) * size, share * size, (200, 2))
     bearings, valid = camera.unproject(pixels)
     assert np.count_nonzero(valid) > 100
+    return 2.0 * bearings[valid]
+
+
+def grid_in(camera: Camera) -> np.ndarray:
+    """Points in the camera frame whose pixels are spread over the image, its borders included."""
+    across, down = np.linspace(0, camera.image_width_px - 1, 13), np.linspace(0, camera.image_height_px - 1, 13)
+    bearings, valid = camera.unproject(np.stack(np.meshgrid(across, down), axis=-1).reshape(-1, 2))
     return 2.0 * bearings[valid]
 
 

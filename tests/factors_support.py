@@ -49,6 +49,36 @@ CAMERAS: dict[str, tuple[str, list[float]]] = {
         "fisheye624",
         [503.2, 507.9, *QUEST3_RIGHT[2:], 0.004, -0.001, -0.003, 0.0008],
     ),
+    # made up after the colour camera of an Azure Kinect
+    "kinect": (
+        "pinhole_rational",
+        [605.1, 604.9, 638.2, 366.4, 0.4617, -2.4713, 7e-4, -3e-4, 1.4119, 0.3413, -2.3014, 1.3436],
+    ),
+    # made up after a Luxonis camera: numerator and denominator nearly cancel, and both nearly vanish
+    "near_a_pole": (
+        "pinhole_rational",
+        [903.9, 905.3, 645.6, 386.9, -7.64, 19.10, 6.8e-4, 1.12e-3, -12.51, -7.64, 19.06, -12.45],
+    ),
+    # made up: ends at 47 degrees
+    "rational_barrel": (
+        "pinhole_rational",
+        [610.0, 600.0, 640.0, 480.0, -0.3, 0.0, 1e-3, 5e-4, 0.0, 0.2, 0.1, 0.0],
+    ),
+    # cam0 of TUM-VI, 512 x 512, as basalt publishes it
+    "tum_vi_ds": (
+        "double_sphere",
+        [158.28600034966977, 158.2743455478755, 254.96116578191653, 256.8894394501779, -0.17213, 0.59311776],
+    ),
+    "tum_vi_eucm": (
+        "extended_unified",
+        [191.14799836282189, 191.13150963902818, 254.9585771534443, 256.88154645599448, 0.62910609, 1.04180674],
+    ),
+    # made up: fields that end because the pixels run away
+    "narrow_ds": ("double_sphere", [700.0, 705.0, 640.0, 512.0, 0.1, 0.3]),
+    "narrow_eucm": ("extended_unified", [700.0, 705.0, 640.0, 512.0, 0.35, 0.9]),
+    # made up: a catadioptric camera
+    "mirror": ("mei_omni", [820.0, 815.0, 640.0, 512.0, -0.2, 0.05, 1e-3, -8e-4, 0.95]),
+    "mirror_barrel": ("mei_omni", [1400.0, 1410.0, 640.0, 512.0, -0.9, 0.1, 5e-4, -8e-4, 1.4]),
 }
 
 

@@ -15,10 +15,12 @@ from camera_files_support import (
     HOLD,
     IN_FRONT,
     LENSES,
+    grid_in,
     points_in,
     rig_of,
     written,
 )
+from lens_formulas import double_sphere_m, extended_unified_m
 from scipy.spatial.transform import Rotation
 
 from factors import CAMERA_MODELS
@@ -40,6 +42,23 @@ def opencv_projector(K, D, fisheye, camera_T_ref) -> Projector:
     return lambda points: cv2.projectPoints(points, rvec, tvec, K, np.asarray(D))[0][:, 0]
 
 
+def omnidir_projector(K, D, xi, camera_T_ref) -> Projector:
+    rvec, tvec = cv2.Rodrigues(camera_T_ref[:3, :3].copy())[0], camera_T_ref[:3, 3]
+    D = np.asarray(D).reshape(1, 4)
+    return lambda points: cv2.omnidir.projectPoints(points[:, None], rvec, tvec, K, xi, D)[0][:, 0]
+
+
+def formula_projector(formula, focal_and_centre, two, camera_T_ref) -> Projector:
+    """A lens of two numbers, by the formula of its paper."""
+    theta = np.array([*focal_and_centre, *two])
+
+    def project(points):
+        in_camera = points @ camera_T_ref[:3, :3].T + camera_T_ref[:3, 3]
+        return theta[:2] * in_camera[:, :2] * formula(in_camera, theta)[:, None] + theta[2:4]
+
+    return project
+
+
 def matrix_of(fx, fy, cx, cy) -> np.ndarray:
     return np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]])
 
@@ -51,10 +70,40 @@ def as_kalibr(path: Path) -> dict[str, Projector]:
     for i in range(len(chain)):
         entry = chain[f"cam{i}"]
         camera_T_ref = np.array(entry["T_cn_cnm1"]) @ camera_T_ref if i else camera_T_ref
-        D = np.array(entry["distortion_coeffs"])
-        assert D.dtype == np.float64  # a number without a dot is text to PyYAML
-        fisheye = entry["distortion_model"] == "equidistant"
-        found[entry["name"]] = opencv_projector(matrix_of(*entry["intrinsics"]), D, fisheye, camera_T_ref)
+        D, numbers = np.array(entry["distortion_coeffs"], dtype=object), entry["intrinsics"]
+        assert all(type(number) is float for number in [*D, *numbers])  # one without a dot is text to PyYAML
+        D, model, name = D.astype(np.float64), entry["camera_model"], entry["name"]
+        if model == "omni":
+            found[name] = omnidir_projector(matrix_of(*numbers[1:]), D, numbers[0], camera_T_ref)
+        elif model in ("ds", "eucm"):
+            assert entry["distortion_model"] == "none"
+            formula = {"ds": double_sphere_m, "eucm": extended_unified_m}[model]
+            found[name] = formula_projector(formula, numbers[2:], numbers[:2], camera_T_ref)
+        else:
+            fisheye = entry["distortion_model"] == "equidistant"
+            found[name] = opencv_projector(matrix_of(*numbers), D, fisheye, camera_T_ref)
+    return found
+
+
+def as_basalt(path: Path) -> dict[str, Projector]:
+    """By the names of basalt-headers."""
+    document = json.loads(path.read_text())["value0"]
+    found = {}
+    for i, name in enumerate(document["names"]):
+        pose, lens = document["T_imu_cam"][i], document["intrinsics"][i]
+        camera_T_ref = inverse(
+            pose_of([pose[k] for k in ("qw", "qx", "qy", "qz")], [pose[k] for k in ("px", "py", "pz")])
+        )
+        k, model = lens["intrinsics"], lens["camera_type"]
+        middle = [k[n] for n in ("fx", "fy", "cx", "cy")]
+        if model == "ds":
+            found[name] = formula_projector(double_sphere_m, middle, [k["xi"], k["alpha"]], camera_T_ref)
+        elif model == "eucm":
+            found[name] = formula_projector(extended_unified_m, middle, [k["alpha"], k["beta"]], camera_T_ref)
+        else:
+            order = {"kb4": "k1 k2 k3 k4", "pinhole-radtan8": "k1 k2 p1 p2 k3 k4 k5 k6"}[model].split()
+            D = [k[n] for n in order]
+            found[name] = opencv_projector(matrix_of(*middle), D, model == "kb4", camera_T_ref)
     return found
 
 
@@ -64,7 +113,11 @@ def as_opencv(path: Path) -> dict[str, Projector]:
     for key in storage.root().keys():  # noqa: SIM118 (cv2's nodes are no mappings)
         node = storage.getNode(key)
         K, D, T = (node.getNode(n).mat() for n in ("camera_matrix", "distortion_coefficients", "camera_T_ref"))
-        found[node.getNode("name").string()] = opencv_projector(K, D, bool(node.getNode("fisheye").real()), T)
+        name, xi = node.getNode("name").string(), node.getNode("xi")
+        if not xi.empty():
+            found[name] = omnidir_projector(K, D, xi.real(), T)
+            continue
+        found[name] = opencv_projector(K, D, bool(node.getNode("fisheye").real()), T)
     return found
 
 
@@ -229,6 +282,7 @@ def as_numpy(path: Path) -> dict[str, Projector]:
 
 AS_READ = {
     "kalibr": as_kalibr,
+    "basalt": as_basalt,
     "opencv": as_opencv,
     "ros": as_ros,
     "ros_bag": as_ros_bag,
@@ -291,7 +345,7 @@ def test_a_lens_is_held_or_refused_with_a_loss_that_is_true(format_name: str, le
     assert not list(tmp_path.iterdir())
     stated_px = float(str(refused.value).split(" px rms and ")[1].split()[0])
     (camera,) = read_rig(written(tmp_path, format_name, rig, nearest=True), None).rig.cameras
-    points = points_in(LENSES[lens])
+    points = grid_in(LENSES[lens])
     found, valid = camera.camera.project(points)
     assert valid.all()
     off_px = np.linalg.norm(found - LENSES[lens].project(points)[0], axis=1)

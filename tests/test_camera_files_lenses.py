@@ -17,7 +17,6 @@ from camera_files_support import (
     written,
 )
 
-from factors import PINHOLE_RADTAN
 from gtcal.camera_files.lenses import F62, KB4, PINHOLE, RADTAN4, Form, express
 from gtcal.errors import GtcalError
 
@@ -41,6 +40,7 @@ from gtcal.errors import GtcalError
         ("THIN_PRISM_FISHEYE", [300, 310, 320.5, 240.5, 0.02, -0.003, 0, 0, 0.001, -0.0002, 0, 0]),
         ("THIN_PRISM_FISHEYE", [300, 310, 320.5, 240.5, 0.02, -0.003, 0.001, 0.002, 0.001, -0.0002, 0.001, 0.002]),
         ("RAD_TAN_THIN_PRISM_FISHEYE", [300, 310, 320.5, 240.5, *ARIA[4:]]),
+        ("EUCM", [300, 310, 320.5, 240.5, 0.62, 1.04]),
         ("FOV", [400, 410, 320.5, 240.5, 0.8]),
     ],
 )
@@ -64,10 +64,18 @@ def test_every_lens_of_colmaps_is_read_as_pycolmap_has_it_or_within_its_stated_l
     assert off_px.max() <= 1.05 * camera.lens_off_px + 1e-9
 
 
-def test_a_rational_polynomial_is_refused_with_its_loss_unless_the_nearest_will_do(tmp_path: Path) -> None:
+def test_a_rational_polynomial_is_read_as_it_is(tmp_path: Path) -> None:
     text = CAMERA_INFO_MESSAGE.replace("0.0, 0.0, 0.0, 0.0]\nk:", "0.01, 0.02, 0.03, 0.01]\nk:")
+    (camera,) = read_text_as(tmp_path, "info.yaml", text).cameras
+    assert camera.camera.model.name == "pinhole_rational"
+    np.testing.assert_array_equal(camera.camera.theta[4:], [-0.36, 0.11, 0.001, 0.0005, 0.01, 0.02, 0.03, 0.01])
+
+
+def test_opencvs_thin_prism_is_refused_with_its_loss_unless_the_nearest_will_do(tmp_path: Path) -> None:
+    thin_prism = "0.01, 0.02, 0.03, 0.01, 0.002, 0.0005, -0.002, 0.0002]\nk:"
+    text = CAMERA_INFO_MESSAGE.replace("0.0, 0.0, 0.0, 0.0]\nk:", thin_prism)
     with pytest.raises(
-        GtcalError, match=r"8 coefficients, which gtcal has no model of; .* off by .* 'gtcal convert --near"
+        GtcalError, match=r"12 coefficients, which gtcal has no model of; .* off by .* 'gtcal convert --near"
     ):
         read_text_as(tmp_path, "info.yaml", text)
     (camera,) = read_text_as(tmp_path, "info.yaml", text, nearest=True).cameras
@@ -82,17 +90,17 @@ def test_a_rational_polynomial_is_refused_with_its_loss_unless_the_nearest_will_
 def test_the_nearest_lens_is_nearest(lens: str, form: Form) -> None:
     """No small step of any parameter is better: a minimum, for every lens in every form."""
     camera = LENSES[lens]
-    if form in (PINHOLE, RADTAN4) and camera.model != PINHOLE_RADTAN:  # they all look past 85 deg
+    grid = np.stack(
+        np.meshgrid(np.linspace(0, camera.image_width_px - 1, 25), np.linspace(0, camera.image_height_px - 1, 25))
+    )
+    bearings, valid = camera.unproject(grid.reshape(2, -1).T)
+    if form in (PINHOLE, RADTAN4) and bearings[valid, 2].min() < np.cos(np.deg2rad(85.0)):
         with pytest.raises(GtcalError, match="has a bearing for every pixel of the image, which reaches"):
             express(camera, format_name="it", forms=(form,), nearest=True)
         return
     found = express(camera, format_name="it", forms=(form,), nearest=True)
     if found.max_px == 0:
         return
-    grid = np.stack(
-        np.meshgrid(np.linspace(0, camera.image_width_px - 1, 25), np.linspace(0, camera.image_height_px - 1, 25))
-    )
-    bearings, valid = camera.unproject(grid.reshape(2, -1).T)
 
     def rms_px(theta: np.ndarray) -> float:
         off = form.model.project(bearings[valid], theta)[0] - grid.reshape(2, -1).T[valid]

@@ -28,7 +28,8 @@ from gtcal.recordings.capture import Capture
 from gtcal.results.calibration import Calibration, PoseEstimate
 from gtcal.results.covariance import NAIVE, JointCovariance
 from gtcal.simulation import Simulation
-from gtcal.uncertainty.direction_words import axis_in_words
+from gtcal.uncertainty.direction_words import axis_in_words, described
+from gtcal.uncertainty.motions import motions
 from gtcal.uncertainty.placement import UNIT_DEG, UNIT_MM, UNIT_PX, Placement
 from gtcal.uncertainty.projected import image_grid
 from gtcal.uncertainty.weak_directions import (
@@ -453,3 +454,15 @@ def test_positions_are_those_of_the_result() -> None:
         sigma_mm = UNIT_MM * np.sqrt(np.diag(covariance)[block])
         np.testing.assert_allclose(sigma_mm, pose.position_of_a_in_b_sigma_mm, rtol=1e-9)
         np.testing.assert_allclose(inverse(placement().camera_T_ref[name])[:3, 3], pose.position_of_a_in_b_m)
+
+
+def test_cameras_that_shift_together_are_told_apart_by_their_axes() -> None:
+    found = placement(HEADSET)
+    what = []
+    for axis in range(3):
+        motion = np.zeros(len(found.measures))
+        for i, block in enumerate(found.blocks[1:]):
+            motion[np.arange(len(motion))[block][3 + axis]] = 1.0 if i % 2 else -0.9
+        what.append(described(*motions(motion, found), found).what)
+    assert all("together: their positions, " in one for one in what)
+    assert ["ref's x axis" in what[0], "ref's y axis" in what[1], "ref's z axis" in what[2]] == [True] * 3

@@ -19,7 +19,18 @@ from factors.rigid import inverse
 from gtcal.camera import FloatArray
 from gtcal.camera_files.aria import fisheye624
 from gtcal.camera_files.fields import Field, float_text, rigid_from_quaternion
-from gtcal.camera_files.lenses import F624, KB4, PINHOLE, RADTAN4, RADTAN5, Expressed, ForeignLens, express
+from gtcal.camera_files.lenses import (
+    EUCM,
+    F624,
+    KB4,
+    PINHOLE,
+    RADTAN4,
+    RADTAN5,
+    RATIONAL,
+    Expressed,
+    ForeignLens,
+    express,
+)
 from gtcal.camera_files.rig import (
     OUR_PIXELS,
     Lens,
@@ -47,8 +58,10 @@ _FORMS = {
     PINHOLE: ("PINHOLE", 4),
     RADTAN4: ("OPENCV", 8),
     RADTAN5: ("FULL_OPENCV", 12),
+    RATIONAL: ("FULL_OPENCV", 12),
     KB4: ("OPENCV_FISHEYE", 8),
     F624: ("RAD_TAN_THIN_PRISM_FISHEYE", 16),
+    EUCM: ("EUCM", 6),
 }
 # By model: the number of focal lengths and of coefficients.
 _MODELS = {
@@ -66,6 +79,7 @@ _MODELS = {
     "THIN_PRISM_FISHEYE": (2, 8),
     "RAD_TAN_THIN_PRISM_FISHEYE": (2, 12),
     "FOV": (2, 1),
+    "EUCM": (2, 2),
 }
 
 
@@ -101,8 +115,8 @@ def read_colmap(path: Path, options: ReadOptions) -> Rig:
 
 
 def write_colmap(rig: Rig, path: Path, notes: Sequence[str], nearest: bool) -> None:
-    """Write the folder. Every lens is held; Fisheye62 and Fisheye624 as RAD_TAN_THIN_PRISM_FISHEYE, which only newer
-    versions of COLMAP know. Raises GtcalError without poses."""
+    """Write the folder. Fisheye62 and Fisheye624 are held as RAD_TAN_THIN_PRISM_FISHEYE, which only newer versions of
+    COLMAP know, as EUCM is. Raises GtcalError without poses, or for a lens that it lacks unless ``nearest``."""
     poses, names = rig.poses(TITLE), rig.file_names()
     first_T_ref = poses[rig.cameras[0].name]
     notes = [note.replace(OUR_PIXELS, "the first pixel's centre is (0.5, 0.5), as COLMAP has it") for note in notes]
@@ -253,6 +267,8 @@ def _lens(model: str, middle: FloatArray, coefficients: FloatArray) -> Lens:
         return fisheye624(np.concatenate([middle, coefficients]))
     if model == "THIN_PRISM_FISHEYE":
         return _thin_prism(middle, coefficients)
+    if model == "EUCM":
+        return padded(EUCM, np.concatenate([middle, coefficients]))
     if model == "FOV":
         return _fov(middle, float(coefficients[0]))
     if "FISHEYE" in model:

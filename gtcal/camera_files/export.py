@@ -5,21 +5,14 @@ from __future__ import annotations
 from importlib.metadata import version
 from pathlib import Path
 
+from gtcal.camera_files.calibration_rig import calibration_rig
 from gtcal.camera_files.formats import CAMERA_FILE_WRITERS, write_rig
-from gtcal.camera_files.rig import OUR_PIXELS, Rig, RigCamera
+from gtcal.camera_files.rig import OUR_PIXELS, Rig
 from gtcal.files import InputFile
-from gtcal.recordings.capture import Capture
 from gtcal.results.calibration import Calibration
 
 EXPORT_FORMATS = tuple(CAMERA_FILE_WRITERS)
 """The formats that a calibration can be written in."""
-
-# By capture: the frame's name for other tools, and what it is.
-_REFS = {
-    Capture.FIXED_CAMERAS: ("mocap_world", "the mocap world"),
-    Capture.TRACKED_PLATFORM: ("platform", "the tracked platform's body, as the mocap defines it"),
-    Capture.STANDING_BOARD: ("platform", "the tracked platform's body, as the mocap defines it"),
-}
 
 
 def export_calibration(
@@ -34,12 +27,6 @@ def export_calibration(
     Raises GtcalError for an unknown format, a lens that it can't express, or a file that can't be written."""
     rig = calibration_rig(calibration)
     return write_rig(rig, path, format_name, made_by("export", rig, source), nearest=nearest)
-
-
-def calibration_rig(calibration: Calibration) -> Rig:
-    """The cameras of a calibration, in ref."""
-    cameras = [RigCamera(c.camera_with_sigmas, c.camera_T_ref.a_T_b) for c in calibration.cameras.values()]
-    return Rig(tuple(cameras), *_REFS[calibration.capture], body_T_board=calibration.body_T_board.a_T_b)
 
 
 def made_by(command: str, rig: Rig, source: InputFile | None) -> list[str]:

@@ -9,7 +9,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from gtcal.camera_files import aria, colmap, kalibr, numpy_file, opencv, ros, ros_bag, toml_rigs, umetrack
+from gtcal.camera_files import aria, basalt, colmap, kalibr, numpy_file, opencv, ros, ros_bag, toml_rigs, umetrack
 from gtcal.camera_files.gtcal_file import read_gtcal
 from gtcal.camera_files.gtcal_file import recognises as recognises_gtcal
 from gtcal.camera_files.lenses import difference_px
@@ -34,6 +34,7 @@ class CameraFileWriter(Protocol):
 
 CAMERA_FILE_READERS: dict[str, CameraFileReader] = {
     "kalibr": kalibr.read_kalibr,
+    "basalt": basalt.read_basalt,
     "opencv": opencv.read_opencv,
     "ros": ros.read_ros,
     "ros_bag": ros_bag.read_ros_bag,
@@ -50,6 +51,7 @@ CAMERA_FILE_READERS: dict[str, CameraFileReader] = {
 
 CAMERA_FILE_WRITERS: dict[str, CameraFileWriter] = {
     "kalibr": kalibr.write_kalibr,
+    "basalt": basalt.write_basalt,
     "opencv": opencv.write_opencv,
     "ros": ros.write_ros,
     "ros_bag": ros_bag.write_ros_bag,
@@ -68,6 +70,7 @@ FOLDER_FORMATS = ("ros", "ros_bag", "colmap")
 
 _BY_DOCUMENT: dict[str, Callable[[Any], bool]] = {
     "kalibr": kalibr.recognises,
+    "basalt": basalt.recognises,
     "ros": ros.recognises,
     "colmap": colmap.recognises_rig,
     "aria": aria.recognises_aria,

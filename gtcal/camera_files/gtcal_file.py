@@ -14,8 +14,7 @@ def recognises(document: object) -> bool:
 
 def read_gtcal(path: Path, options: ReadOptions) -> Rig:
     """The cameras of a calibration.json, in its ref. Raises GtcalError for a file that is none, or damaged."""
-    # a calibration holds recordings, whose manifests know the camera files: imported at the top, this would go round
-    from gtcal.camera_files.export import calibration_rig
+    from gtcal.camera_files.calibration_rig import calibration_rig  # with GTSAM, which other formats need not wait for
     from gtcal.results.calibration_file import read_calibration
 
     return calibration_rig(read_calibration(path))

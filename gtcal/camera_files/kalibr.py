@@ -1,23 +1,25 @@
 """Kalibr's camchain: YAML, one entry per camera, cam0, cam1, ...
 
-Pixels: integer coordinates are pixel centres. Metres. T_cn_cnm1 takes coordinates in the camera before to coordinates
-in this one, T_cam_imu coordinates in the IMU to coordinates in the camera. What gtcal writes says beside them, in
-fields that Kalibr doesn't read, the camera's name and its camera_T_ref.
+Pixels: integer coordinates are pixel centres. Metres. The lens is pinhole (fu fv pu pv) with radtan (k1 k2 p1 p2) or
+equidistant (k1..k4), ds (xi alpha fu fv pu pv), eucm (alpha beta fu fv pu pv), or omni (xi fu fv pu pv) with radtan.
+T_cn_cnm1 takes coordinates in the camera before to coordinates in this one, T_cam_imu coordinates in the IMU to
+coordinates in the camera. What gtcal writes says beside them, in fields that Kalibr doesn't read, the camera's name and
+its camera_T_ref.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from factors.camera_models import KANNALA_BRANDT4
 from factors.rigid import inverse
 from gtcal.camera import FloatArray
 from gtcal.camera_files.fields import Field, quoted, row_text
-from gtcal.camera_files.lenses import KB4, RADTAN4, Expressed, express
-from gtcal.camera_files.rig import ReadOptions, Rig, RigCamera, image_size, padded, rig_camera, with_pose
+from gtcal.camera_files.lenses import DS, EUCM, KB4, OMNI, RADTAN4, Expressed, Form, express
+from gtcal.camera_files.rig import ReadOptions, Rig, RigCamera, image_size, rig_camera, with_pose
 from gtcal.documents import load_document
 from gtcal.files import write_text
 
@@ -25,7 +27,26 @@ TITLE = "Kalibr's camchain"
 # Chains are printed with eight decimals or more.
 _SAME_POSE = 1e-5
 
-_DISTORTIONS = {"radtan": RADTAN4, "radial-tangential": RADTAN4, "equidistant": KB4}
+
+@dataclass(frozen=True)
+class _Written:
+    """How a lens stands in a camchain. intrinsics, coefficients: columns of theta."""
+
+    form: Form
+    camera_model: str
+    distortion_model: str
+    intrinsics: tuple[int, ...]
+    coefficients: tuple[int, ...]
+
+
+_LENSES = (
+    _Written(RADTAN4, "pinhole", "radtan", (0, 1, 2, 3), (4, 5, 6, 7)),
+    _Written(KB4, "pinhole", "equidistant", (0, 1, 2, 3), (4, 5, 6, 7)),
+    _Written(DS, "ds", "none", (4, 5, 0, 1, 2, 3), ()),
+    _Written(EUCM, "eucm", "none", (4, 5, 0, 1, 2, 3), ()),
+    _Written(OMNI, "omni", "radtan", (8, 0, 1, 2, 3), (4, 5, 6, 7)),
+)
+_OTHER_NAMES = {"radial-tangential": "radtan"}
 
 
 def recognises(document: object) -> bool:
@@ -68,14 +89,15 @@ def write_kalibr(rig: Rig, path: Path, notes: Sequence[str], nearest: bool) -> N
 
 
 def _camera_lines(i: int, camera: RigCamera, nearest: bool) -> list[str]:
-    found = express(camera.camera, format_name=TITLE, forms=(RADTAN4, KB4), nearest=nearest)
+    found = express(camera.camera, format_name=TITLE, forms=[lens.form for lens in _LENSES], nearest=nearest)
+    written = next(lens for lens in _LENSES if lens.form == found.form)
     return [
         f"cam{i}:  # {found.said(camera.camera)}",
         f"  name: {quoted(camera.name)}",
-        "  camera_model: pinhole",
-        f"  distortion_model: {'equidistant' if found.model == KANNALA_BRANDT4 else 'radtan'}",
-        f"  intrinsics: {row_text(found.theta[:4])}",
-        f"  distortion_coeffs: {row_text(found.theta[4:8])}",
+        f"  camera_model: {written.camera_model}",
+        f"  distortion_model: {written.distortion_model}",
+        f"  intrinsics: {row_text(found.theta[list(written.intrinsics)])}",
+        f"  distortion_coeffs: {row_text(found.theta[list(written.coefficients)])}",
         f"  resolution: [{camera.image_size_px[0]}, {camera.image_size_px[1]}]",
         f"  rostopic: {quoted(f'/{camera.name}/image_raw')}",
     ]
@@ -95,16 +117,21 @@ def lens_of(entry: Field) -> Expressed:
 
     Raises GtcalError naming file and field for what is missing, wrong or no lens of gtcal's."""
     model, distortion = entry["camera_model"], entry["distortion_model"]
-    if model.text() != "pinhole":
-        raise model.error(f"is {model.text()!r}, and gtcal has no such lens; expected pinhole")
-    focal_and_centre = entry["intrinsics"].numbers(4)
-    if distortion.text() == "none":
-        return padded(RADTAN4, focal_and_centre)
-    if distortion.text() not in _DISTORTIONS:
-        expected = ", ".join(_DISTORTIONS)
-        raise distortion.error(f"is {distortion.text()!r}, and gtcal has no such lens; expected one of {expected}")
-    coefficients = entry.first("distortion_coeffs", "distortion_coefficients").numbers(4)
-    return padded(_DISTORTIONS[distortion.text()], np.concatenate([focal_and_centre, coefficients]))
+    stated = _OTHER_NAMES.get(distortion.text(), distortion.text())
+    of_model = [lens for lens in _LENSES if lens.camera_model == model.text()]
+    if not of_model:
+        known = ", ".join(dict.fromkeys(lens.camera_model for lens in _LENSES))
+        raise model.error(f"is {model.text()!r}, and gtcal has no such lens; expected one of {known}")
+    found = next((lens for lens in of_model if stated in (lens.distortion_model, "none")), None)
+    if found is None:
+        known = ", ".join(["none", *dict.fromkeys(lens.distortion_model for lens in of_model if lens.coefficients)])
+        raise distortion.error(f"is {distortion.text()!r}, and gtcal has no such lens; expected one of {known}")
+    theta = np.zeros(found.form.model.n_parameters)
+    theta[list(found.intrinsics)] = entry["intrinsics"].numbers(len(found.intrinsics))
+    if stated != "none":
+        coefficients = entry.first("distortion_coeffs", "distortion_coefficients")
+        theta[list(found.coefficients)] = coefficients.numbers(len(found.coefficients))
+    return Expressed(found.form, theta)
 
 
 def _poses(entries: Sequence[Field], names: Sequence[str]) -> tuple[str, str, list[FloatArray]]:

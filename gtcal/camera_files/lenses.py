@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from factors.camera_models import (
+    DOUBLE_SPHERE,
+    EXTENDED_UNIFIED,
     FISHEYE62,
     FISHEYE624,
     KANNALA_BRANDT4,
+    MEI_OMNI,
     PINHOLE_RADTAN,
+    PINHOLE_RATIONAL,
     CameraModel,
 )
 from gtcal.camera import BoolArray, Camera, FloatArray
@@ -44,9 +48,15 @@ PINHOLE = Form(PINHOLE_RADTAN, 4)
 RADTAN4 = Form(PINHOLE_RADTAN, 8)
 RADTAN5 = Form(PINHOLE_RADTAN, 9)
 KB4 = Form(KANNALA_BRANDT4, 8)
+RATIONAL = Form(PINHOLE_RATIONAL, 12)
 F62 = Form(FISHEYE62, 12)
 F624 = Form(FISHEYE624, 16)
+DS = Form(DOUBLE_SPHERE, 6)
+EUCM = Form(EXTENDED_UNIFIED, 6)
+OMNI = Form(MEI_OMNI, 9)
 F624_ONE_FOCAL_LENGTH = Form(FISHEYE624, 16, one_focal_length=True)
+OPENCV_FORMS = (RADTAN5, KB4, RATIONAL)
+"""What cv2.projectPoints and cv2.fisheye project, by their coefficients alone."""
 
 
 @dataclass(frozen=True)
@@ -69,7 +79,7 @@ class Expressed:
         """For a comment beside a lens: how far it is off, and whether the image looks past what OpenCV and COLMAP
         project."""
         off = f"lens off by {self.max_px:.3g} px at most over the image"
-        bearings = np.zeros((1, 3)) if self.model == PINHOLE_RADTAN else _image_grid(camera)[1]
+        bearings = np.zeros((1, 3)) if self.model.perspective else _image_grid(camera)[1]
         if bearings[:, 2].min() >= 0:
             return off
         widest_deg = np.rad2deg(np.arccos(bearings[:, 2].min()))
@@ -113,22 +123,26 @@ def express(camera: Camera, *, format_name: str, forms: Sequence[Form], nearest:
 
 
 def as_model(model: CameraModel, theta: FloatArray, other: CameraModel) -> FloatArray | None:
-    """The same lens as parameters of another model, None where it isn't one. The fisheyes are one formula with more or
-    fewer terms."""
-    if model == other:
-        return theta.copy()
-    if PINHOLE_RADTAN in (model, other):
-        return None
+    """The same lens as parameters of another model, None where it isn't one."""
     n = other.n_parameters
-    if theta[n:].any():
+    if not _related(model, other) or theta[n:].any():
         return None
     return np.concatenate([theta, np.zeros(max(0, n - len(theta)))])[:n]
+
+
+def _related(model: CameraModel, other: CameraModel) -> bool:
+    """Whether they are one formula with more or fewer terms."""
+    return model in _ancestry(other) or other in _ancestry(model)
+
+
+def _ancestry(model: CameraModel | None) -> list[CameraModel]:
+    return [] if model is None else [model, *_ancestry(model.extends)]
 
 
 def fit_foreign(lens: ForeignLens, image_size_px: tuple[int, int]) -> Expressed | None:
     """The nearest to a lens that gtcal has no model of; None where it has no bearing within its image."""
     azimuths, angles = np.linspace(0, 2 * np.pi, _AZIMUTHS, endpoint=False), np.linspace(0, _WIDEST_RAD, _STEPS + 1)[1:]
-    if lens.form.model == PINHOLE_RADTAN:
+    if lens.form.model.perspective:
         angles = angles[np.cos(angles) > _PINHOLE_LIMIT]
     azimuth, angle = np.meshgrid(azimuths, angles, indexing="ij")
     bearings = np.stack(
@@ -183,11 +197,13 @@ def _nearest(camera: Camera, forms: Sequence[Form], format_name: str) -> Express
 
 
 def _start(camera: Camera, form: Form) -> FloatArray:
-    """What the two models share."""
-    theta = np.zeros(form.model.n_parameters)
-    related = (camera.model == PINHOLE_RADTAN) == (form.model == PINHOLE_RADTAN)
-    shared = min(len(theta), camera.model.n_parameters) if related else 4
-    theta[:shared] = camera.theta[:shared]
+    """What the two models share; else the same scale on the axis, without distortion."""
+    theta = np.concatenate([camera.theta[:4], form.model.undistorted])
+    if _related(camera.model, form.model):
+        shared = min(len(theta), camera.model.n_parameters)
+        theta[:shared] = camera.theta[:shared]
+        return theta
+    theta[:2] *= camera.model.slope_on_axis(camera.theta) / form.model.slope_on_axis(theta)
     return theta
 
 
@@ -198,7 +214,7 @@ def _fitted(
     from scipy.optimize import least_squares  # slow to import, and seldom needed
 
     model = form.model
-    if model == PINHOLE_RADTAN and bearings[:, 2].min() < _PINHOLE_LIMIT:
+    if model.perspective and bearings[:, 2].min() < _PINHOLE_LIMIT:
         return None
     spread = np.eye(model.n_parameters)[:, : form.n_free]  # free parameters to theta
     if form.one_focal_length:
@@ -206,7 +222,7 @@ def _fitted(
         spread[1, 0] = 1.0
     free = np.linalg.lstsq(spread, start, rcond=None)[0]
     if not model.project(bearings, spread @ free)[1].all():  # the start folds within the image: begin undistorted
-        free = np.linalg.lstsq(spread, np.r_[start[:4], np.zeros(len(start) - 4)], rcond=None)[0]
+        free = np.linalg.lstsq(spread, np.r_[start[:4], model.undistorted], rcond=None)[0]
 
     def residuals(free: FloatArray) -> FloatArray:
         projected_px, valid = model.project(bearings, spread @ free)
@@ -222,6 +238,15 @@ def _fitted(
         return None
     norms_px = np.linalg.norm(residuals(solved.x).reshape(-1, 2), axis=1)
     return Expressed(form, theta, float(np.sqrt(np.mean(norms_px**2))), float(norms_px.max()))
+
+
+def nearest_lens(camera: Camera, model: CameraModel, pixels_px: FloatArray, bearings: FloatArray) -> Camera | None:
+    """The camera with the lens of another model that projects its bearings (N, 3) nearest to its pixels (N, 2); None
+    where that has no pixel for some."""
+    form = Form(model, model.n_parameters)
+    size_px = camera.image_width_px, camera.image_height_px
+    found = _fitted(form, _start(camera, form), pixels_px, bearings, size_px)
+    return None if found is None else replace(camera, model=model, parameters=found.theta)
 
 
 def difference_px(camera: Camera, other: Camera) -> tuple[float, float]:

@@ -1,9 +1,10 @@
 """OpenCV's FileStorage: YAML, XML or JSON with !!opencv-matrix.
 
-Pixels: integer coordinates are pixel centres. The lens is OpenCV's pinhole (k1 k2 p1 p2 k3) or its fisheye (k1..k4).
-gtcal writes one entry per camera, with its name, fisheye 0 or 1, and camera_T_ref in m. It reads these, and files of a
-single camera as OpenCV's calibration sample writes them. Four coefficients alone may be either lens: then the file (or
-the manifest) must say which.
+Pixels: integer coordinates are pixel centres. The lens is OpenCV's pinhole (k1 k2 p1 p2 k3, and k4 k5 k6 where it is
+rational), its fisheye (k1..k4), or its omnidir: k1 k2 p1 p2, with xi beside them as OpenCV's sample writes it. gtcal
+writes one entry per camera, with its name, fisheye 0 or 1, and camera_T_ref in m. It reads these, and files of a single
+camera as OpenCV's calibration samples write them. Four coefficients alone may be either lens: then the file (or the
+manifest) must say which.
 """
 
 from __future__ import annotations
@@ -15,10 +16,10 @@ from typing import Any
 import cv2
 import numpy as np
 
-from factors.camera_models import KANNALA_BRANDT4, PINHOLE_RADTAN
+from factors.camera_models import CAMERA_MODELS, KANNALA_BRANDT4, MEI_OMNI, PINHOLE_RADTAN
 from gtcal.camera import FloatArray
 from gtcal.camera_files.fields import Field, float_text, quoted, row_text
-from gtcal.camera_files.lenses import KB4, PINHOLE, RADTAN5, express
+from gtcal.camera_files.lenses import KB4, OMNI, OPENCV_FORMS, PINHOLE, Expressed, express
 from gtcal.camera_files.rig import (
     OPENCV_COUNTS,
     Lens,
@@ -73,8 +74,9 @@ def write_opencv(rig: Rig, path: Path, notes: Sequence[str], nearest: bool) -> N
 
 
 def _camera_lines(i: int, camera: RigCamera, nearest: bool) -> list[str]:
-    found = express(camera.camera, format_name=TITLE, forms=(RADTAN5, KB4), nearest=nearest)
+    found = express(camera.camera, format_name=TITLE, forms=(*OPENCV_FORMS, OMNI), nearest=nearest)
     fx, fy, cx, cy = found.theta[:4]
+    omnidir = found.model == MEI_OMNI
     lines = [
         f"cam{i}:  # {found.said(camera.camera)}",
         f"   name: {quoted(camera.name)}",
@@ -83,8 +85,10 @@ def _camera_lines(i: int, camera: RigCamera, nearest: bool) -> list[str]:
         f"   image_width: {camera.image_size_px[0]}",
         f"   image_height: {camera.image_size_px[1]}",
         *_matrix("camera_matrix", np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])),
-        *_matrix("distortion_coefficients", found.theta[4:].reshape(1, -1)),
+        *_matrix("distortion_coefficients", found.theta[4 : 8 if omnidir else None].reshape(1, -1)),
     ]
+    if omnidir:
+        lines.append(f"   xi: {float_text(found.theta[8])}")
     if camera.camera_T_ref is not None:
         lines += ['   length_unit: "m"', *_matrix("camera_T_ref", camera.camera_T_ref)]
     return lines
@@ -133,6 +137,11 @@ def _lens(entry: Field, options: ReadOptions) -> Lens:
     middle = focal_and_centre(entry.first(*_MATRIX))
     stated = entry.get(*_DISTORTION)
     coefficients = np.zeros(0) if stated is None else stated.numbers(*OPENCV_COUNTS)
+    if "xi" in entry:
+        if len(coefficients) not in (0, 4):
+            raise entry.first(*_DISTORTION).error(f"has {len(coefficients)} numbers; OpenCV's omnidir has 4")
+        k_and_p = coefficients if len(coefficients) else np.zeros(4)
+        return Expressed(OMNI, np.concatenate([middle, k_and_p, _xi(entry["xi"])]))
     fisheye = _is_fisheye(entry, options, len(coefficients))
     if fisheye and len(coefficients) not in (0, 4):
         raise entry.first(*_DISTORTION).error(f"has {len(coefficients)} numbers; OpenCV's fisheye has 4")
@@ -141,12 +150,17 @@ def _lens(entry: Field, options: ReadOptions) -> Lens:
     return padded(PINHOLE, middle) if stated is None else opencv_pinhole(middle, coefficients)
 
 
+def _xi(field: Field) -> FloatArray:
+    """(1,): a number, or a matrix of one."""
+    return field.numbers(1) if isinstance(field.value, np.ndarray) else np.array([field.number()])
+
+
 def _is_fisheye(entry: Field, options: ReadOptions, n_coefficients: int) -> bool:
     stated = entry.get(*_FISHEYE)
     if stated is not None:
         return stated.flag()
     if options.model is not None:
-        return options.model != PINHOLE_RADTAN.name
+        return not CAMERA_MODELS[options.model].perspective
     if n_coefficients == 4:
         raise entry.error(
             "four coefficients are those of OpenCV's fisheye or of its pinhole, and the file doesn't say which; give "

@@ -15,7 +15,7 @@ from factors.camera_models import CAMERA_MODELS
 from gtcal.bounds import LARGEST_LENS
 from gtcal.camera import Camera, FloatArray
 from gtcal.camera_files.fields import Field
-from gtcal.camera_files.lenses import RADTAN5, Expressed, ForeignLens, Form, as_model, fit_foreign
+from gtcal.camera_files.lenses import RADTAN5, RATIONAL, Expressed, ForeignLens, Form, as_model, fit_foreign
 from gtcal.errors import GtcalError
 from gtcal.names import check_name
 
@@ -171,17 +171,18 @@ def agreeing(path: Path, camera: RigCamera, options: ReadOptions) -> RigCamera:
 
 def opencv_pinhole(focal_and_centre: FloatArray, coefficients: FloatArray) -> Lens:
     """OpenCV's pinhole: fx fy cx cy (4,), and 0, 1, 2, 4, 5, 8, 12 or 14 coefficients in its order."""
-    theta = np.concatenate([focal_and_centre, np.zeros(5)])
     if not coefficients[5:].any():
-        theta[4 : 4 + min(5, len(coefficients))] = coefficients[:5]
-        return Expressed(RADTAN5, theta)
+        return padded(RADTAN5, np.concatenate([focal_and_centre, coefficients[:5]]))
+    rational = padded(RATIONAL, np.concatenate([focal_and_centre, coefficients[:8]]))
+    if not coefficients[8:].any():
+        return rational
     fx, fy, cx, cy = focal_and_centre
     K = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
 
     def project(bearings: FloatArray) -> FloatArray:
         return np.asarray(cv2.projectPoints(bearings, np.zeros(3), np.zeros(3), K, coefficients)[0][:, 0], np.float64)
 
-    return ForeignLens(f"OpenCV's pinhole with {len(coefficients)} coefficients", RADTAN5, theta, project)
+    return ForeignLens(f"OpenCV's pinhole with {len(coefficients)} coefficients", RATIONAL, rational.theta, project)
 
 
 OPENCV_COUNTS = (4, 5, 8, 12, 14)

@@ -1,7 +1,7 @@
 """ROS: camera_info in YAML, one file per camera, and the rig's static transforms as a ROS 2 launch file.
 
 Pixels: integer coordinates are pixel centres. The lens is plumb_bob (k1 k2 p1 p2 k3), equidistant (k1..k4), or
-rational_polynomial as far as it is a plumb_bob. A camera's frame is <camera>_optical_frame, x right, y down, z forward.
+rational_polynomial (k1 k2 p1 p2 k3 k4 k5 k6). A camera's frame is <camera>_optical_frame, x right, y down, z forward.
 static_transform_publisher takes the pose of the child in the parent: frame_T_child, that is ref_T_camera, in m.
 A camera_info as 'ros2 topic echo' prints it is read too.
 """
@@ -17,11 +17,11 @@ from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
-from factors.camera_models import KANNALA_BRANDT4
+from factors.camera_models import KANNALA_BRANDT4, PINHOLE_RADTAN, PINHOLE_RATIONAL
 from factors.rigid import inverse
 from gtcal.camera import FloatArray
 from gtcal.camera_files.fields import Field, float_text, quoted, rigid_from_quaternion, row_text
-from gtcal.camera_files.lenses import KB4, RADTAN5, Expressed, express
+from gtcal.camera_files.lenses import KB4, OPENCV_FORMS, Expressed, express
 from gtcal.camera_files.opencv import focal_and_centre
 from gtcal.camera_files.rig import (
     OPENCV_COUNTS,
@@ -42,7 +42,8 @@ from gtcal.recordings.trajectory import quaternions_from_poses
 
 TITLE = "ROS's camera_info"
 LAUNCH = "static_transforms.launch.xml"
-MODELS = ("plumb_bob", "equidistant", "rational_polynomial")
+_NAMES = {PINHOLE_RADTAN: "plumb_bob", KANNALA_BRANDT4: "equidistant", PINHOLE_RATIONAL: "rational_polynomial"}
+MODELS = tuple(_NAMES.values())
 _K, _D, _MODEL = ("camera_matrix", "k", "K"), ("distortion_coefficients", "d", "D"), "distortion_model"
 _PUBLISHER = "static_transform_publisher"
 _PUBLISHED = ("x", "y", "z", "qx", "qy", "qz", "qw")
@@ -136,11 +137,11 @@ def _in_root(frame: str, placed: dict[str, tuple[str, FloatArray]]) -> tuple[str
 
 def model_and_coefficients(found: Expressed) -> tuple[str, FloatArray]:
     """ROS's distortion_model and D."""
-    return ("equidistant" if found.model == KANNALA_BRANDT4 else "plumb_bob"), found.theta[4:]
+    return _NAMES[found.model], found.theta[4:]
 
 
 def express_for_ros(camera: RigCamera, nearest: bool) -> Expressed:
-    return express(camera.camera, format_name=TITLE, forms=(RADTAN5, KB4), nearest=nearest)
+    return express(camera.camera, format_name=TITLE, forms=OPENCV_FORMS, nearest=nearest)
 
 
 def read_lens(field: Field) -> Lens:

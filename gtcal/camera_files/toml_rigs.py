@@ -3,7 +3,7 @@
 Pixels: integer coordinates are pixel centres (OpenCV's). rotation is the Rodrigues vector of camera_R_world and
 translation that of camera_T_world. Pose2Sim means metres; aniposelib means whatever the board's squares were given in,
 so that the unit has to be stated. The lens is OpenCV's pinhole, or its fisheye where fisheye = true. Pose2Sim's tools
-hand on four coefficients of a pinhole (k1 k2 p1 p2), aniposelib five.
+hand on four coefficients of a pinhole (k1 k2 p1 p2), aniposelib what OpenCV takes.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 from factors.camera_models import KANNALA_BRANDT4
 from gtcal.camera import FloatArray
 from gtcal.camera_files.fields import Field, quoted, rigid_from_matrix, row_text
-from gtcal.camera_files.lenses import KB4, RADTAN4, RADTAN5, Form, express
+from gtcal.camera_files.lenses import KB4, OPENCV_FORMS, RADTAN4, Form, express
 from gtcal.camera_files.opencv import focal_and_centre
 from gtcal.camera_files.rig import (
     OPENCV_COUNTS,
@@ -74,13 +74,13 @@ def read_pose2sim(path: Path, options: ReadOptions) -> Rig:
 def write_anipose(rig: Rig, path: Path, notes: Sequence[str], nearest: bool) -> None:
     """Write aniposelib's TOML. Raises GtcalError without poses, or for a lens that it lacks unless ``nearest``."""
     keys = [f"cam_{i}" for i in range(len(rig.cameras))]
-    _write(rig, path, notes, _tables(rig, keys, ANIPOSE, RADTAN5, nearest), "anipose")
+    _write(rig, path, notes, _tables(rig, keys, ANIPOSE, OPENCV_FORMS, nearest), "anipose")
 
 
 def write_pose2sim(rig: Rig, path: Path, notes: Sequence[str], nearest: bool) -> None:
     """Write Pose2Sim's Calib.toml. Raises GtcalError without poses, or for a lens that it lacks unless ``nearest``."""
     keys = [_key(camera.name) for camera in rig.cameras]
-    _write(rig, path, notes, _tables(rig, keys, POSE2SIM, RADTAN4, nearest), "pose2sim")
+    _write(rig, path, notes, _tables(rig, keys, POSE2SIM, (RADTAN4, KB4), nearest), "pose2sim")
 
 
 def _write(rig: Rig, path: Path, notes: Sequence[str], tables: list[str], format_name: str) -> None:
@@ -88,11 +88,11 @@ def _write(rig: Rig, path: Path, notes: Sequence[str], tables: list[str], format
     write_text(path, "\n".join([*(f"# {note}" for note in notes), "", *tables, *metadata]) + "\n")
 
 
-def _tables(rig: Rig, keys: Sequence[str], title: str, pinhole: Form, nearest: bool) -> list[str]:
-    """Every camera's lines. pinhole: with as many coefficients as the format's tools take."""
+def _tables(rig: Rig, keys: Sequence[str], title: str, forms: Sequence[Form], nearest: bool) -> list[str]:
+    """Every camera's lines. forms: with as many coefficients as the format's tools take."""
     lines = []
     for key, camera, camera_T_ref in zip(keys, rig.cameras, rig.poses(title).values(), strict=True):
-        found = express(camera.camera, format_name=title, forms=(pinhole, KB4), nearest=nearest)
+        found = express(camera.camera, format_name=title, forms=forms, nearest=nearest)
         fx, fy, cx, cy = found.theta[:4]
         lines += [
             f"[{key}]  # {found.said(camera.camera)}",

@@ -19,7 +19,7 @@ def convert(
     length_unit: Literal["m", "mm"] | None = None,
     time_unit: Literal["ns", "us", "ms", "s"] | None = None,
     pose: Literal["world_T_body", "body_T_world"] | None = None,
-    model: Literal["fisheye62", "kannala_brandt4", "pinhole_radtan", "fisheye624"] | None = None,
+    model: str | None = None,
     image_size_px: tuple[int, int] | None = None,
     nearest: bool = False,
 ) -> None:
@@ -39,7 +39,7 @@ def convert(
         length_unit: The unit of positions, of a trajectory or of a rig's cameras.
         time_unit: The unit of a trajectory's time stamps.
         pose: Whether a row of a trajectory holds the body's pose in the world, or its inverse.
-        model: The cameras' model.
+        model: The cameras' model, by gtcal's name: fisheye62, pinhole_radtan, ...
         image_size_px: Width and height of the cameras' images.
         nearest: Where a lens can't be read or written as it is, take the nearest that can.
     """

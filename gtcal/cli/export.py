@@ -8,7 +8,18 @@ from typing import Annotated, Literal
 import tyro
 
 Format = Literal[
-    "kalibr", "opencv", "ros", "ros_bag", "colmap", "aria", "hot3d", "umetrack", "anipose", "pose2sim", "numpy"
+    "kalibr",
+    "basalt",
+    "opencv",
+    "ros",
+    "ros_bag",
+    "colmap",
+    "aria",
+    "hot3d",
+    "umetrack",
+    "anipose",
+    "pose2sim",
+    "numpy",
 ]
 
 
@@ -21,10 +32,10 @@ def export(
 ) -> None:
     """Write a calibration as a file of another tool.
 
-    kalibr: camchain YAML. opencv: FileStorage YAML. ros: a folder with camera_info YAML for each camera and a ROS 2
-    launch file of static transforms. ros_bag: a ROS 2 bag of the same as messages. colmap: a folder with
-    rig_config.json and the sparse model's text files. aria: Project Aria's device JSON. hot3d: camera_models.json.
-    umetrack: its JSON. anipose, pose2sim: their TOML. numpy: npz, which loses nothing.
+    kalibr: camchain YAML. basalt: calibration JSON. opencv: FileStorage YAML. ros: a folder with camera_info YAML for
+    each camera and a ROS 2 launch file of static transforms. ros_bag: a ROS 2 bag of the same as messages. colmap: a
+    folder with rig_config.json and the sparse model's text files. aria: Project Aria's device JSON. hot3d:
+    camera_models.json. umetrack: its JSON. anipose, pose2sim: their TOML. numpy: npz, which loses nothing.
 
     Args:
         calibration: calibration.json, as gtcal calibrate writes it.

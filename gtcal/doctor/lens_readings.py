@@ -42,10 +42,18 @@ _PINHOLE_ORDERS: tuple[tuple[str, str, tuple[int, ...]], ...] = (
 )
 """The same for k1 k2 p1 p2 k3."""
 
+_RATIONAL_ORDERS: tuple[tuple[str, str, tuple[int, ...]], ...] = (
+    ("tangential order", "p1 and p2 are exchanged", (0, 1, 3, 2, 4, 5, 6, 7)),
+    ("coefficient order", "the coefficients are in the order k1 k2 k3 k4 k5 k6 p1 p2", (0, 1, 6, 7, 2, 3, 4, 5)),
+    ("coefficient order", "the coefficients are in Azure Kinect's order k1 .. k6 p2 p1", (0, 1, 7, 6, 2, 3, 4, 5)),
+)
+"""The same for k1 k2 p1 p2 k3 k4 k5 k6."""
+
 _CENTRED = 0.2
 """A principal point this near to the middle, as a share of half the image, is that of an image of the stated size."""
 
 _ORDERS = {"fisheye62": _FISHEYE_ORDERS, "fisheye624": _FISHEYE_ORDERS[:1], "pinhole_radtan": _PINHOLE_ORDERS}
+_ORDERS["pinhole_rational"] = _RATIONAL_ORDERS
 
 
 @dataclass(frozen=True)

@@ -2,9 +2,9 @@
 
 First a Kannala-Brandt lens for every camera: the equidistant one whose focal length lets PnP fit best, refined by
 Levenberg-Marquardt on the pixels over theta and all board poses, robustly. It tells gross corners from good ones. From
-the good ones a richer fisheye goes on in the same way; a pinhole is left to OpenCV (Zhang's method, which a few wrong
-tags would ruin). OpenCV's own fisheye calibration starts from normalised coordinates and fails on views that reach 90
-degrees off the axis.
+the good ones another model goes on in the same way, beginning with its lens that is nearest. A pinhole is left to
+OpenCV (Zhang's method, which a few wrong tags would ruin), and a rational one goes on from that. OpenCV's own fisheye
+calibration starts from normalised coordinates and fails on views that reach 90 degrees off the axis.
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ from factors import (
     weak_intrinsics_prior,
 )
 from gtcal.camera import Camera, FloatArray
+from gtcal.camera_files.lenses import nearest_lens
 from gtcal.errors import GtcalError
 from gtcal.estimation.graph import minimise
 from gtcal.estimation.observations import Views
@@ -82,7 +83,7 @@ def calibrate_intrinsics(views: Views) -> IntrinsicCalibration:
         )
     clean = _choose(simple.without_gross_corners())
     wanted = views.camera.model
-    found = _Fit.of(_pinhole(clean) if wanted is PINHOLE_RADTAN else _fisheye(clean, wanted))
+    found = _Fit.of(_pinhole(clean, wanted) if wanted.perspective else _other(clean, wanted))
     if not found.median_px < max(MISFIT * simple.median_px, FLOOR_PX):
         raise GtcalError(
             f"camera {views.camera.name!r}: {wanted.name} fits its views to {found.median_px:.3g} px, typically, but "
@@ -129,8 +130,8 @@ def _choose(views: Views) -> Views:
     return select_views(views, index)
 
 
-def _pinhole(views: Views) -> Views:
-    """The views with the pinhole camera that OpenCV finds."""
+def _pinhole(views: Views, wanted: CameraModel) -> Views:
+    """The views with the pinhole camera that OpenCV finds, and from it with the terms that a richer model adds."""
     camera = replace(views.camera, model=PINHOLE_RADTAN)
     corners_m = np.split(views.corners_m.astype(np.float32), views.view_start[1:-1])
     corners_px = np.split(views.corners_px.astype(np.float32), views.view_start[1:-1])
@@ -141,7 +142,8 @@ def _pinhole(views: Views) -> Views:
             f"camera {camera.name!r}: OpenCV finds no intrinsics from these views ({error.err}); record the board from "
             "different directions and over the whole image"
         ) from error
-    return replace(views, camera=replace(camera, parameters=theta))
+    found = replace(views, camera=replace(camera, parameters=theta))
+    return found if wanted is PINHOLE_RADTAN else replace(views, camera=_settled(views, _started(found, wanted)))
 
 
 def _pinhole_in_steps(
@@ -181,12 +183,22 @@ def _kannala_brandt(views: Views) -> Camera:
     return _settled(views, starts[int(np.argmin(fits))])
 
 
-def _fisheye(views: Views, wanted: CameraModel) -> Views:
-    """The Kannala-Brandt camera of the views, with the terms that a richer model adds to it: all at once from nothing,
-    the higher ones run away."""
-    camera = views.camera
-    theta = np.pad(camera.theta, (0, wanted.n_parameters - KANNALA_BRANDT4.n_parameters))
-    return replace(views, camera=_settled(views, replace(camera, model=wanted, parameters=theta)))
+def _other(views: Views, wanted: CameraModel) -> Views:
+    """From the Kannala-Brandt camera of the views the wanted one: all at once from nothing, its higher terms would run
+    away."""
+    return replace(views, camera=_settled(views, _started(views, wanted)))
+
+
+def _started(views: Views, wanted: CameraModel) -> Camera:
+    """The lens of the wanted model that is nearest to the views' own where the corners are."""
+    bearings, seen = views.camera.unproject(views.corners_px)
+    lens = nearest_lens(views.camera, wanted, views.corners_px[seen], bearings[seen])
+    if lens is None:
+        raise GtcalError(
+            f"camera {views.camera.name!r}: its views look further off the axis than a {wanted.name} can; state a "
+            "fisheye model"
+        )
+    return lens
 
 
 def _settled(views: Views, camera: Camera) -> Camera:

@@ -1,43 +1,23 @@
-"""What the solver sees: the detected corners of each camera's views, each view with the mocap's ref_T_body."""
+"""From a recording to what the solver sees: every view with the mocap's ref_T_body at its time stamp."""
 
 from __future__ import annotations
-
-from collections.abc import Iterable
-from dataclasses import dataclass, field
 
 import numpy as np
 
 from factors.board_shape import outline_of
 from gtcal.board import Board
-from gtcal.camera import BoolArray, Camera, FloatArray
+from gtcal.camera import BoolArray, FloatArray
 from gtcal.errors import GtcalError
-from gtcal.recordings.capture import Capture, RefMotion
-from gtcal.recordings.detections import CameraDetections, IntArray, ViewRows
+from gtcal.observed.views import Dropped as Dropped
+from gtcal.observed.views import Observations as Observations
+from gtcal.observed.views import Views as Views
+from gtcal.observed.views import pooled as pooled
+from gtcal.recordings.capture import RefMotion
+from gtcal.recordings.detections import CameraDetections, IntArray
 from gtcal.recordings.recording import Recording
 from gtcal.recordings.trajectory import Gap
 
 _TIME_UNITS = {3: "1,000", 6: "1,000,000", 9: "1,000,000,000"}
-
-
-@dataclass(frozen=True)
-class Views(ViewRows):
-    """The views of one camera that have a mocap pose.
-
-    frame_index: (V,) the view's place in ``Observations.frame_stamps_ns``: views of one frame share ref_T_body.
-    ref_T_body: (V, 4, 4) by the mocap.
-    corners_m: (N, 3) the corners in the board frame, as stated. outline_m: (4,) of the board, and shape_sigmas: (5,)
-        1-sigma of its shape beforehand, both as in ``factors.board_shape``.
-    board_turns: (G, 4, 4) the turns of the board, the identity first, that may lie between each view's corners and the
-        true ones: several where the print looks the same after them, and the views were not told apart yet.
-    """
-
-    camera: Camera
-    frame_index: IntArray
-    ref_T_body: FloatArray
-    corners_m: FloatArray
-    outline_m: FloatArray
-    shape_sigmas: FloatArray
-    board_turns: FloatArray = field(default_factory=lambda: np.eye(4)[None])
 
 
 def board_turns(board: Board) -> FloatArray:
@@ -51,46 +31,6 @@ def board_turns(board: Board) -> FloatArray:
         pose[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
         pose[:3, 3] = middle_m - pose[:3, :3] @ middle_m
     return T
-
-
-@dataclass(frozen=True)
-class Dropped:
-    """Views of one camera that were left out, and why."""
-
-    camera: str
-    reason: str
-    n_views: int
-    n_corners: int
-
-
-def pooled(dropped: Iterable[Dropped]) -> tuple[Dropped, ...]:
-    """What was left out of each camera for each reason, in one entry each, in the order of the first."""
-    counts: dict[tuple[str, str], tuple[int, int]] = {}
-    for part in dropped:
-        n_views, n_corners = counts.get((part.camera, part.reason), (0, 0))
-        counts[part.camera, part.reason] = n_views + part.n_views, n_corners + part.n_corners
-    return tuple(Dropped(*which, *count) for which, count in counts.items())
-
-
-@dataclass(frozen=True)
-class Observations:
-    """All views of a recording that have a mocap pose, by camera.
-
-    frame_stamps_ns: (F,) the distinct time stamps of the views of all cameras, increasing.
-    motion: ref_T_body as a function of time, for other times than the views' own (a clock offset).
-    dropped: the views that were left out.
-    """
-
-    views: dict[str, Views]
-    capture: Capture
-    board: Board
-    dropped: tuple[Dropped, ...]
-    frame_stamps_ns: IntArray
-    motion: RefMotion
-
-    @property
-    def n_frames(self) -> int:
-        return len(self.frame_stamps_ns)
 
 
 def synchronise(recording: Recording, *, min_corners: int = 4) -> Observations:

@@ -11,9 +11,9 @@ from scipy.spatial.transform import Rotation
 from factors.board_shape import FLAT
 from factors.rigid import inverse
 from gtcal.camera import Camera, FloatArray
-from gtcal.estimation.estimate import Estimate
-from gtcal.estimation.observations import Dropped, Views
 from gtcal.files import InputFile
+from gtcal.observed.estimate import Estimate
+from gtcal.observed.views import Dropped, Views
 from gtcal.recordings.capture import Capture
 from gtcal.recordings.detections import IntArray
 from gtcal.results.board_shape import BoardShape

@@ -19,10 +19,10 @@ from factors import CAMERA_MODELS
 from factors.board_shape import FLAT, N_SHAPE, SHAPE_NAMES
 from gtcal.bounds import LARGEST_LENS, LARGEST_SIDE_PX
 from gtcal.camera import Camera, FloatArray, RollingShutter
-from gtcal.estimation.estimate import Estimate
-from gtcal.estimation.observations import Dropped
 from gtcal.files import InputFile, write_text
 from gtcal.names import named
+from gtcal.observed.estimate import Estimate
+from gtcal.observed.views import Dropped
 from gtcal.recordings.capture import Capture
 from gtcal.recordings.trajectory import quaternions_from_poses
 from gtcal.results.board_shape import BoardShape

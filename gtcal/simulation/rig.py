@@ -76,19 +76,6 @@ def _device_T_camera(camera: HeadsetCamera) -> FloatArray:
     return transform(Rotation.from_quat([*xyz, w]), np.array(camera.device_t_camera_m))
 
 
-# Lenses for fixed cameras over an image of 1280 pixels' width: about 84 degrees across for the pinhole, 130
-# for the fisheyes. The focal length and principal point come first in every model.
-_TYPICAL_DISTORTION = {
-    "pinhole_radtan": (710.0, (-0.11, 0.07, 0.0004, -0.0007, -0.012)),
-    "kannala_brandt4": (560.0, (-0.012, 0.004, -0.003, 0.0004)),
-    "fisheye62": (560.0, (0.031, -0.029, 0.011, -0.007, 0.0024, -0.00034, 0.0003, -0.0002)),
-    "fisheye624": (
-        560.0,
-        (0.031, -0.029, 0.011, -0.007, 0.0024, -0.00034, 0.0003, -0.0002, 0.0004, -0.0001, -0.0003, 0.0002),
-    ),
-}
-
-
 def fixed_cameras_rig(
     n_cameras: int = 4,
     *,
@@ -116,11 +103,12 @@ def fixed_cameras_rig(
 
 
 def _fixed_camera(index: int, model_name: str) -> Camera:
-    focal_px, distortion = _TYPICAL_DISTORTION[_known_model(model_name).name]
+    model = _known_model(model_name)
+    focal_px, *distortion = model.usual
     focal_px *= 1.0 + 0.006 * ((3 * index) % 7 - 3)  # no two lenses are the same
     centre_px = (639.5 + 2.3 * ((2 * index) % 5 - 2), 511.5 - 1.7 * ((3 * index) % 5 - 2))
     theta = np.array([focal_px, 1.0007 * focal_px, *centre_px, *distortion])
-    return Camera(f"cam{index}", CAMERA_MODELS[model_name], theta, 1280, 1024)
+    return Camera(f"cam{index}", model, theta, 1280, 1024)
 
 
 def _known_model(name: str) -> CameraModel:

@@ -150,14 +150,28 @@ def _several(moving: list[str], cameras: Mapping[str, CameraMotion], placement: 
     parts = [cameras[name] for name in moving]
     shifts = max(part.shift_size for part in parts) >= max(part.turn_size for part in parts)
     size = _mm(*(part.shift_mm for part in parts)) if shifts else _deg(*(part.turn_deg for part in parts))
-    what = f"{_cameras(moving)} together: their {'positions' if shifts else 'attitudes'}"
+    what = f"{_cameras(moving)} together: {_positions(moving, parts) if shifts else _attitudes(moving, parts)}"
     if max(part.lens_size for part in parts) > max(max(part.shift_size, part.turn_size) for part in parts):
-        what = f"{_cameras(moving)} together: their lenses"
+        most = max(range(len(parts)), key=lambda i: parts[i].lens_size)
+        what = f"{_cameras(moving)} together: their lenses, most the {_main_part(parts[most])} of {moving[most]!r}"
         return Words(
             what, _px(max(parts, key=lambda part: part.lens_px)), "show them the board over the whole image", False
         )
     fix = f"record nearer to them and over more of their images, with {MOVERS[placement.capture]} turned about two axes"
     return Words(what, size, fix, True)
+
+
+def _positions(moving: list[str], parts: list[CameraMotion]) -> str:
+    most = max(range(len(parts)), key=lambda i: parts[i].shift_size)
+    axis = axis_in_words(parts[most].shift_mm, "ref")
+    if _parallel([part.shift_mm for part in parts]):
+        return f"their positions along {axis}"
+    return f"their positions, {moving[most]!r} most, along {axis}"
+
+
+def _attitudes(moving: list[str], parts: list[CameraMotion]) -> str:
+    most = max(range(len(parts)), key=lambda i: parts[i].turn_size)
+    return f"their attitudes, {moving[most]!r} most, about {_own_axis(parts[most].turn_deg)}"
 
 
 def axis_in_words(axis: FloatArray, frame: str) -> str:
