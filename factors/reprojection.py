@@ -20,7 +20,6 @@ from __future__ import annotations
 
 import itertools
 import math
-import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
@@ -33,6 +32,7 @@ import numpy.typing as npt
 
 from factors.board_shape import FLAT, N_SHAPE, shape_columns, shaped_corner
 from factors.camera_models import CameraModel, field_limit, project_point
+from factors.cores import n_cores
 from factors.kernel import inlined, kernel
 from factors.moments import chain, transport, triangular_factor
 from factors.rigid import adjoint_of_inverse, compose, pose_at
@@ -244,14 +244,14 @@ def _residuals(
 
 @cache
 def _threads() -> ThreadPoolExecutor:
-    return ThreadPoolExecutor(os.cpu_count(), thread_name_prefix="reprojection")
+    return ThreadPoolExecutor(n_cores(), thread_name_prefix="reprojection")
 
 
 def _tasks(view_start: IntArray) -> list[tuple[int, int]]:
     """Ranges of views with about as many corners each, no more than there are cores."""
     wanted = int(view_start[-1]) // _CORNERS_PER_TASK
     # asking for the number of cores takes longer than a view
-    n_tasks = min(wanted, os.cpu_count() or 1) if wanted > 1 else 1
+    n_tasks = min(wanted, n_cores()) if wanted > 1 else 1
     if n_tasks == 1:
         return [(0, len(view_start) - 1)]
     bounds = np.searchsorted(view_start, np.linspace(0, view_start[-1], n_tasks + 1)[1:-1])

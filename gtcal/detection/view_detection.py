@@ -16,8 +16,8 @@ import numpy as np
 from gtcal.board import Board
 from gtcal.camera import BoolArray, Camera, FloatArray
 from gtcal.detection.local_warp import LocalWarps, fit_local_warps
-from gtcal.detection.refinement import MAX_RADIUS_PX, RefinedCorners, refine_corners
-from gtcal.detection.sight import BoardImage, PixelSight, Sight, board_image, sight_of
+from gtcal.detection.refinement import MAX_RADIUS_PX, N_PARAMETERS, RefinedCorners, refine_corners
+from gtcal.detection.sight import BoardImage, BoardSight, PixelSight, Sight, board_image, sight_of
 from gtcal.detection.tags import (
     ABSENT_CORRELATION,
     READ_CORRELATION,
@@ -40,6 +40,8 @@ _MOVED_PART, _MOVED_PX = 0.15, 1.5
 _MISFIT, _FAINTEST_STEP, _STRONGEST_STEP, _TURNED_RAD = 0.3, 4.0, 150.0, 0.35
 _BLUR_PART, _BLUR_PX = 0.3, 1.3
 _TRIES = 3
+# How far a predicted board may be off for it to be found at its whole edge.
+_OFF_PREDICTION_PX = 10.0
 # The board's pitch in the image under which nothing is looked for.
 _NARROWEST_PX = 5.0
 # How far the next corners may be from the known ones, in pitches of the board: both edges of the next tag.
@@ -76,16 +78,62 @@ def detect_view(image: GreyImage, board: Board, camera: Camera | None = None) ->
     return seen.corner_ids, seen.corners_px
 
 
-def see_board(image: GreyImage, board: Board, camera: Camera | None = None) -> SeenBoard:
-    """As ``detect_view``, and how many tags were read where the board isn't recognised."""
+def see_board(
+    image: GreyImage, board: Board, camera: Camera | None = None, predicted: PredictedBoard | None = None
+) -> SeenBoard:
+    """As ``detect_view``, and how many tags were read where the board isn't recognised.
+
+    predicted: where the board must be, to a few pixels. Its corners are then looked for there first, and the board is
+    searched for only where most that should be seen aren't there; where it should be outside the image, not at all.
+    What is found is checked in the same way, and doesn't depend on the prediction."""
+    if predicted is None:
+        return _searched(image, board, camera)
+    looked = _looked_for(image, board, predicted)
+    if looked.n_expected == 0 or 2 * len(looked.seen.corner_ids) > looked.n_expected:
+        return looked.seen
+    return max(looked.seen, _searched(image, board, camera), key=lambda seen: len(seen.corner_ids))
+
+
+def _searched(image: GreyImage, board: Board, camera: Camera | None) -> SeenBoard:
     found, n_tags = find_tags(image, board)
     search = _Search(image, board, camera)
     if len(found):
         search.begin(found)
-        while search.extend(*search.known(), search.reachable()):
-            pass
-    ids = np.flatnonzero(search.found) if search.is_the_board() else np.empty(0, dtype=np.int64)
-    return SeenBoard(ids, search.corners_px[ids], n_tags)
+        search.go_on()
+    return search.seen(n_tags)
+
+
+@dataclass(frozen=True)
+class _Looked:
+    """What is seen where the board should be, and how many corners should be."""
+
+    seen: SeenBoard
+    n_expected: int
+
+
+def _looked_for(image: GreyImage, board: Board, predicted: PredictedBoard) -> _Looked:
+    search = _Search(image, board, predicted.camera)
+    n_expected = search.begin_at(predicted)
+    if search.found.any():
+        search.go_on()
+    return _Looked(search.seen(int((search.tag_read == 1).sum())), n_expected)
+
+
+@dataclass(frozen=True)
+class PredictedBoard:
+    """Where the board should be in an image. camera: with parameters. camera_T_board: (4, 4)."""
+
+    camera: Camera
+    camera_T_board: FloatArray
+
+    def image_of(self, points_m: FloatArray, step_m: float) -> BoardImage:
+        """Of points (N, 2) of the board."""
+        return board_image(BoardSight(self.camera, self.camera_T_board), points_m, _as_it_is(len(points_m)), step_m)
+
+
+def _as_it_is(n: int) -> FloatArray:
+    """(N, 2, 2) the derivative of points of the board to themselves."""
+    return np.broadcast_to(np.eye(2), (n, 2, 2))
 
 
 @dataclass(frozen=True)
@@ -122,8 +170,9 @@ def _print_of(board: Board) -> _Print:
 class _Search:
     """The state of the search in one image.
 
-    corners_px: (C, 2), NaN where not found. tries: (C,) how often each was looked for. tag_read: (T,) 1 where a tag's
-    code was read, -1 where the image shows something else, 0 where it wasn't or can't be looked at."""
+    corners_px: (C, 2), NaN where not found. fits: (C, P) the parameters of those that are. tries: (C,) how often each
+    was looked for. tag_read: (T,) 1 where a tag's code was read, -1 where the image shows something else, 0 where it
+    wasn't or can't be looked at."""
 
     def __init__(self, image: GreyImage, board: Board, camera: Camera | None) -> None:
         self.image, self.board, self.camera = image, board, camera
@@ -132,10 +181,45 @@ class _Search:
         self.print = _print_of(board)
         self.corners_m = board.corners_m[:, :2]
         self.corners_px = np.full((board.n_corners, 2), np.nan)
+        self.fits = np.empty((board.n_corners, N_PARAMETERS))
         self.tries = np.zeros(board.n_corners, dtype=int)
         self.tag_read = np.zeros(len(board.tag_ids), dtype=int)
         self.anchors_m = self.anchors_px = np.empty((0, 2))
         self.first_tags = np.zeros(len(board.tag_ids), dtype=bool)
+
+    def begin_at(self, predicted: PredictedBoard) -> int:
+        """Look for the corners where they are predicted to be, and once more by their neighbours for those that aren't
+        there. Returns how many should be seen."""
+        guess = predicted.image_of(self.corners_m, self._step_m)
+        expected = self._shown(guess)
+        self.tries[:] = np.where(self._shown(guess, outside_px=_OFF_PREDICTION_PX), _TRIES - 1, _TRIES)
+        if expected.any():
+            self._take_sight(self.corners_m[expected], guess.pixels_px[expected])
+        self._look(np.flatnonzero(expected), guess.at(expected))
+        return int(expected.sum())
+
+    def go_on(self) -> None:
+        """Look outwards from what is found until nothing is left to look for."""
+        while self.extend(*self.known(), self.reachable()):
+            pass
+
+    def seen(self, n_tags: int) -> SeenBoard:
+        """What was found, if it is the board."""
+        if not self.is_the_board():
+            return SeenBoard(np.empty(0, dtype=np.int64), np.empty((0, 2)), n_tags)
+        self._polish()
+        ids = np.flatnonzero(self.found)
+        return SeenBoard(ids, self.corners_px[ids], n_tags)
+
+    def _polish(self) -> None:
+        """Fit once more what was found, with the print's scale and the lens's bend as the neighbours now tell them: so
+        it doesn't matter from what the corners were predicted."""
+        ids = np.flatnonzero(self.found)
+        there = self._predict(self.corners_m[ids], self.corners_px[ids], self.corners_m[ids])
+        guess = BoardImage(self.corners_px[ids], there.px_per_m, there.px_per_m2)
+        refined = self._refined(ids, guess, going_on_from=self.fits[ids])
+        better = self._good(refined, ids, guess)
+        self.corners_px[ids[better]] = refined.corners_px[better]
 
     def begin(self, tags: FoundTags) -> None:
         """Look for the corners next to the tags of the first pass."""
@@ -174,21 +258,32 @@ class _Search:
         self.tries[candidates] += 1
         self._take_sight(known_m, known_px)
         guess = self._predict(known_m, known_px, self.corners_m[candidates])
+        shown = self._shown(guess)
+        self._look(candidates[shown], guess.at(shown))
+        return True
+
+    def _shown(self, guess: BoardImage, outside_px: float = 0.0) -> BoolArray:
         wide = self.board.pitch_m * _least_stretch(guess.px_per_m) > _NARROWEST_PX
-        shown = self._well_inside(guess.pixels_px) & wide
-        candidates, guess = candidates[shown], guess.at(shown)
-        refined = refine_corners(
-            self.image,
-            guess,
-            saddle=self.print.saddle[candidates],
-            clear_band_m=self.board.clear_band_m,
-            clear_reach_m=self.board.clear_reach_m,
-        )
+        return self._well_inside(guess.pixels_px, _MARGIN_PX - outside_px) & wide
+
+    def _look(self, candidates: IntArray, guess: BoardImage) -> None:
+        """Fit the candidates near their guessed places, and keep what is the board's."""
+        refined = self._refined(candidates, guess)
         good = self._good(refined, candidates, guess)
         self.corners_px[candidates[good]] = refined.corners_px[good]
+        self.fits[candidates[good]] = refined.parameters[good]
         self._drop_stray()
         self._read_tags()
-        return True
+
+    def _refined(self, corners: IntArray, guess: BoardImage, going_on_from: FloatArray | None = None) -> RefinedCorners:
+        return refine_corners(
+            self.image,
+            guess,
+            saddle=self.print.saddle[corners],
+            clear_band_m=self.board.clear_band_m,
+            clear_reach_m=self.board.clear_reach_m,
+            going_on_from=going_on_from,
+        )
 
     def is_the_board(self) -> bool:
         """Whether what was found is this board: enough tags are read, more than are found to be something else, and
@@ -216,11 +311,11 @@ class _Search:
         warps = fit_local_warps(known_m[usable], plane[usable], at_m, spread_m=self.board.pitch_m)
         return self._to_pixels(warps)
 
-    def _well_inside(self, pixels_px: FloatArray) -> BoolArray:
+    def _well_inside(self, pixels_px: FloatArray, margin_px: float = _MARGIN_PX) -> BoolArray:
         height, width = self.image.shape
         x, y = pixels_px[:, 0], pixels_px[:, 1]
-        inside = (x >= _MARGIN_PX) & (x <= width - 1 - _MARGIN_PX)
-        return inside & (y >= _MARGIN_PX) & (y <= height - 1 - _MARGIN_PX)
+        inside = (x >= margin_px) & (x <= width - 1 - margin_px)
+        return inside & (y >= margin_px) & (y <= height - 1 - margin_px)
 
     def _good(self, refined: RefinedCorners, corners: IntArray, guess: BoardImage) -> BoolArray:
         moved_px = np.linalg.norm(refined.corners_px - guess.pixels_px, axis=1)
@@ -264,7 +359,12 @@ class _Search:
         return np.nan_to_num(off_px), np.nan_to_num(self.board.pitch_m * _least_stretch(predicted.px_per_m))
 
     def _to_pixels(self, warps: LocalWarps) -> BoardImage:
-        return board_image(self.sight, *warps.at_centres(), step_m=0.05 * self.board.pitch_m)
+        return board_image(self.sight, *warps.at_centres(), step_m=self._step_m)
+
+    @property
+    def _step_m(self) -> float:
+        """Over which the board's image is differentiated."""
+        return 0.05 * self.board.pitch_m
 
     def _absent(self) -> BoolArray:
         """(C,) the corners all of whose tags were looked at and aren't there."""
