@@ -14,6 +14,13 @@ def kernel(function: F) -> F:
     return _compiled(function, cache=True)
 
 
+def reordered(function: F) -> F:
+    """Like ``kernel``, with sums in any order: for long sums of products, which vectors of the processor then take
+    several terms of at a time."""
+    jit = numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "reassoc"})
+    return cast(F, jit(function))
+
+
 def inlined(function: F) -> F:
     """Like ``kernel``, and pasted into its callers: for the innermost functions, where a call with array
     arguments would cost more than the arithmetic."""

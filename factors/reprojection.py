@@ -20,7 +20,6 @@ from __future__ import annotations
 
 import itertools
 import math
-import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
@@ -32,6 +31,7 @@ import numpy as np
 
 from factors.board_shape import FLAT, N_SHAPE
 from factors.camera_models import CameraModel
+from factors.cores import n_cores
 from factors.moments import chain, transport, triangular_factor
 from factors.reprojection_kernels import FloatArray, IntArray, view_kernels
 from factors.rigid import pose_at
@@ -96,24 +96,16 @@ class ViewMoments:
     n_invalid: IntArray
 
 
-_most_threads = os.cpu_count() or 1
-
-
-def use_threads(most: int) -> None:
-    """From now on this process works on at most so many threads. To be called before anything is computed."""
-    global _most_threads
-    _most_threads = most
-
-
 @cache
 def _threads() -> ThreadPoolExecutor:
-    return ThreadPoolExecutor(_most_threads, thread_name_prefix="reprojection")
+    return ThreadPoolExecutor(n_cores(), thread_name_prefix="reprojection")
 
 
 def _tasks(view_start: IntArray) -> list[tuple[int, int]]:
     """Ranges of views with about as many corners each, no more than there are cores."""
     wanted = int(view_start[-1]) // _CORNERS_PER_TASK
-    n_tasks = min(wanted, _most_threads) if wanted > 1 else 1
+    # asking for the number of cores takes longer than a view
+    n_tasks = min(wanted, n_cores()) if wanted > 1 else 1
     if n_tasks == 1:
         return [(0, len(view_start) - 1)]
     bounds = np.searchsorted(view_start, np.linspace(0, view_start[-1], n_tasks + 1)[1:-1])

@@ -25,6 +25,7 @@ from gtcal.estimation.options import CalibrationOptions
 from gtcal.estimation.solver import DisagreementError, calibrate_observations
 from gtcal.estimation.told_apart import told_apart
 from gtcal.files import fingerprint
+from gtcal.guided import MocapGuide
 from gtcal.progress import Progress, silent
 from gtcal.recordings.manifest import MANIFEST_NAMES
 from gtcal.recordings.recording import Recording
@@ -163,18 +164,31 @@ def _on_the_mocaps_clock(
     return with_clock(observations, options, progress=progress)
 
 
-def detected(recording: Recording, *, progress: Progress = silent, redo: bool = False) -> Recording:
+def detected(
+    recording: Recording, *, progress: Progress = silent, redo: bool = False, guided: bool = True
+) -> Recording:
     """The recording with detections for every camera: as the recording gives them, else from the images, which are
-    kept beside the recording for the next time. ``redo`` detects in the images wherever there are some."""
+    kept beside the recording for the next time. ``redo`` detects in the images wherever there are some. ``guided``:
+    where a camera has many images, the mocap and a calibration from some of them say where the board is in the others
+    (``gtcal.guided``); else all are searched."""
     missing = [name for name in recording.images if redo or name not in recording.detections]
     if not missing:
         return recording
     folder = recording.path.parent if recording.path is not None else None
     if folder is None:
         raise GtcalError("a recording that is not on disk needs its detections given")
+    guide = MocapGuide(recording, tuple(missing), _first_calibration, progress) if guided else None
     found = {
         name: cached_detect(
-            folder, name, recording.images[name], recording.board, recording.cameras[name], progress=progress, redo=redo
+            folder,
+            name,
+            recording.images[name],
+            recording.board,
+            recording.cameras[name],
+            progress=progress,
+            redo=redo,
+            guide=guide,
+            of_all=sum(len(recording.images[name]) for name in missing),
         )
         for name in missing
     }
@@ -182,6 +196,14 @@ def detected(recording: Recording, *, progress: Progress = silent, redo: bool = 
         fingerprint(path) for path in sorted({path for name in missing for path in recording.images[name].inputs})
     )
     return replace(recording, detections=recording.detections | found, inputs=recording.inputs + used)
+
+
+@on_one_blas_thread
+def _first_calibration(recording: Recording) -> Calibration:
+    """Good to a pixel or so, soon; with the clock offset that the data want."""
+    options = CalibrationOptions(mocap="exact", effects=False)
+    observations, _ = prepared(recording, options)
+    return tested(calibrate_observations(observations, options), observations, options)
 
 
 def _is_to_be_found(camera: Camera, options: CalibrationOptions) -> bool:

@@ -185,7 +185,7 @@ def test_the_number_of_cores_does_not_matter(monkeypatch: pytest.MonkeyPatch, n_
     seen = scene(n_views=6)
     alone = moments_of(seen)
     monkeypatch.setattr(module, "_CORNERS_PER_TASK", 10)
-    monkeypatch.setattr(module.os, "cpu_count", lambda: n_cores)
+    monkeypatch.setattr(module, "n_cores", lambda: n_cores)
     assert len(module._tasks(seen.views.view_start)) == n_cores
     for got, expected in zip(moments_of(seen), alone, strict=True):
         np.testing.assert_array_equal(got, expected)

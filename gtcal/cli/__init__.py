@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import gc
+import inspect
 import logging
 import os
 import signal
 import sys
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext, redirect_stdout
 from importlib import import_module
 from importlib.metadata import version
 from pathlib import Path
+from textwrap import fill
+
+from gtcal.cli.jobs import JOBS_HELP, limit_jobs
 
 COMMANDS = {
     "demo": "render small recordings, calibrate, verify, and compare with the truth",
@@ -54,6 +58,7 @@ commands:
 {commands}
 
 'gtcal COMMAND --help' explains a command; 'gtcal --version' prints the version.
+Every command takes {jobs}
 
 exit codes: 0 fine, 1 a failure told in one line, 2 usage, 3 failed or moved, 4 it can't be told"""
 
@@ -81,7 +86,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _overview() -> str:
     width = max(len(name) for name in COMMANDS)
-    return OVERVIEW.format(commands="\n".join(f"  {name:{width}}  {what}" for name, what in COMMANDS.items()))
+    commands = "\n".join(f"  {name:{width}}  {what}" for name, what in COMMANDS.items())
+    return OVERVIEW.format(commands=commands, jobs=fill(JOBS_HELP, 120, initial_indent=20 * " ").lstrip())
+
+
+def _taking_jobs(function: Callable[..., object]) -> Callable[..., object]:
+    """The command, its help with what every command takes."""
+    said, arguments, each = (inspect.getdoc(function) or "").partition("\n\nArgs:")
+    function.__doc__ = f"{said}\n\n{JOBS_HELP}{arguments}{each}"
+    return function
 
 
 class _EndedError(BaseException):
@@ -125,6 +138,11 @@ def _warn_on_stderr() -> None:
 
 
 def _run(command: str, arguments: list[str]) -> int:
+    try:
+        arguments = limit_jobs(arguments)  # before the imports: libraries read the environment once
+    except ValueError as error:
+        print(f"gtcal: {error}", file=sys.stderr)
+        return EXIT_USAGE
     gc.set_threshold(_GC_THRESHOLD)  # before the imports: they are half of a short command's time
     import tyro
 
@@ -132,7 +150,7 @@ def _run(command: str, arguments: list[str]) -> int:
     from gtcal.plain import one_line
 
     _warn_on_stderr()
-    function = getattr(import_module(f"gtcal.cli.{command}"), command)
+    function = _taking_jobs(getattr(import_module(f"gtcal.cli.{command}"), command))
     try:
         with _ending_in_words(), _words_beside_data(arguments):
             code = tyro.cli(function, prog=f"gtcal {command}", args=arguments)

@@ -15,8 +15,8 @@ import numpy as np
 from gtcal.board import Board
 from gtcal.camera import BoolArray, Camera, FloatArray
 from gtcal.detection.local_warp import LocalWarps, fit_local_warps
-from gtcal.detection.refinement import MAX_RADIUS_PX, RefinedCorners, refine_corners
-from gtcal.detection.sight import BoardImage, PixelSight, Sight, board_image, sight_of
+from gtcal.detection.refinement import MAX_RADIUS_PX, N_PARAMETERS, RefinedCorners, refine_corners
+from gtcal.detection.sight import BoardImage, BoardSight, PixelSight, Sight, board_image, sight_of
 from gtcal.recordings.detections import IntArray
 from gtcal.recordings.images import GreyImage
 
@@ -30,6 +30,8 @@ _MOVED_PART, _MOVED_PX = 0.15, 1.5
 _MISFIT, _FAINTEST_STEP, _STRONGEST_STEP, _TURNED_RAD = 0.3, 4.0, 150.0, 0.35
 _BLUR_PART, _BLUR_PX = 0.3, 1.3
 _TRIES = 3
+# How far a predicted board may be off for it to be found at its whole edge.
+_OFF_PREDICTION_PX = 10.0
 # The board's pitch in the image under which nothing is looked for.
 _NARROWEST_PX = 5.0
 # How far the next corners may be from the known ones, in pitches of the board: both edges of the next tag.
@@ -53,6 +55,23 @@ class SeenBoard:
     corner_ids: IntArray
     corners_px: FloatArray
     n_tags: int
+
+
+@dataclass(frozen=True)
+class PredictedBoard:
+    """Where the board should be in an image. camera: with parameters. camera_T_board: (4, 4)."""
+
+    camera: Camera
+    camera_T_board: FloatArray
+
+    def image_of(self, points_m: FloatArray, step_m: float) -> BoardImage:
+        """Of points (N, 2) of the board."""
+        return board_image(BoardSight(self.camera, self.camera_T_board), points_m, _as_it_is(len(points_m)), step_m)
+
+
+def _as_it_is(n: int) -> FloatArray:
+    """(N, 2, 2) the derivative of points of the board to themselves."""
+    return np.broadcast_to(np.eye(2), (n, 2, 2))
 
 
 @dataclass(frozen=True)
@@ -84,7 +103,8 @@ def _print_of(board: Board) -> _Print:
 class CornerSearch:
     """The state of the search in one image, outwards from places that are known.
 
-    corners_px: (C, 2), NaN where not found. tries: (C,) how often each was looked for."""
+    corners_px: (C, 2), NaN where not found. fits: (C, P) the parameters of those that are. tries: (C,) how often each
+    was looked for."""
 
     def __init__(self, image: GreyImage, board: Board, camera: Camera | None) -> None:
         self.image, self.board, self.camera = image, board, camera
@@ -93,6 +113,7 @@ class CornerSearch:
         self.print = _print_of(board)
         self.corners_m = board.corners_m[:, :2]
         self.corners_px = np.full((board.n_corners, 2), np.nan)
+        self.fits = np.empty((board.n_corners, N_PARAMETERS))
         self.tries = np.zeros(board.n_corners, dtype=np.int64)
         self.anchors_m = self.anchors_px = np.empty((0, 2))
 
@@ -130,20 +151,57 @@ class CornerSearch:
         self.tries[candidates] += 1
         self._take_sight(known_m, known_px)
         guess = self._predict(known_m, known_px, self.corners_m[candidates])
+        shown = self._shown(guess)
+        self._look(candidates[shown], guess.at(shown))
+        return True
+
+    def begin_at(self, predicted: PredictedBoard) -> int:
+        """Look for the corners where they are predicted to be, and once more by their neighbours for those that aren't
+        there. Returns how many should be seen."""
+        guess = predicted.image_of(self.corners_m, self._step_m)
+        expected = self._shown(guess)
+        self.tries[:] = np.where(self._shown(guess, outside_px=_OFF_PREDICTION_PX), _TRIES - 1, _TRIES)
+        if expected.any():
+            self._take_sight(self.corners_m[expected], guess.pixels_px[expected])
+        self._look(np.flatnonzero(expected), guess.at(expected))
+        return int(expected.sum())
+
+    def go_on(self) -> None:
+        """Look outwards from what is found until nothing is left to look for."""
+        while self.extend(*self.known(), self.reachable()):
+            pass
+
+    def polish(self) -> None:
+        """Fit once more what was found, with the print's scale and the lens's bend as the neighbours now tell them: so
+        it doesn't matter from what the corners were predicted."""
+        ids = np.flatnonzero(self.found)
+        there = self._predict(self.corners_m[ids], self.corners_px[ids], self.corners_m[ids])
+        guess = BoardImage(self.corners_px[ids], there.px_per_m, there.px_per_m2)
+        refined = self._refined(ids, guess, going_on_from=self.fits[ids])
+        better = self._good(refined, ids, guess)
+        self.corners_px[ids[better]] = refined.corners_px[better]
+
+    def _shown(self, guess: BoardImage, outside_px: float = 0.0) -> BoolArray:
         wide = self.board.pitch_m * least_stretch(guess.px_per_m) > _NARROWEST_PX
-        shown = self._well_inside(guess.pixels_px) & wide
-        candidates, guess = candidates[shown], guess.at(shown)
-        refined = refine_corners(
-            self.image,
-            guess,
-            saddle=self.print.saddle[candidates],
-            clear_band_m=self.board.clear_band_m,
-            clear_reach_m=self.board.clear_reach_m,
-        )
+        return self._well_inside(guess.pixels_px, _MARGIN_PX - outside_px) & wide
+
+    def _look(self, candidates: IntArray, guess: BoardImage) -> None:
+        """Fit the candidates near their guessed places, and keep what is the board's."""
+        refined = self._refined(candidates, guess)
         good = self._good(refined, candidates, guess)
         self.corners_px[candidates[good]] = refined.corners_px[good]
+        self.fits[candidates[good]] = refined.parameters[good]
         self._drop_stray()
-        return True
+
+    def _refined(self, corners: IntArray, guess: BoardImage, going_on_from: FloatArray | None = None) -> RefinedCorners:
+        return refine_corners(
+            self.image,
+            guess,
+            saddle=self.print.saddle[corners],
+            clear_band_m=self.board.clear_band_m,
+            clear_reach_m=self.board.clear_reach_m,
+            going_on_from=going_on_from,
+        )
 
     def _take_sight(self, known_m: FloatArray, known_px: FloatArray) -> None:
         """Choose the plane of comparison, and again when much more of the board is known."""
@@ -158,11 +216,11 @@ class CornerSearch:
         warps = fit_local_warps(known_m[usable], plane[usable], at_m, spread_m=self.board.pitch_m)
         return self._to_pixels(warps)
 
-    def _well_inside(self, pixels_px: FloatArray) -> BoolArray:
+    def _well_inside(self, pixels_px: FloatArray, margin_px: float = _MARGIN_PX) -> BoolArray:
         height, width = self.image.shape
         x, y = pixels_px[:, 0], pixels_px[:, 1]
-        inside = (x >= _MARGIN_PX) & (x <= width - 1 - _MARGIN_PX)
-        return inside & (y >= _MARGIN_PX) & (y <= height - 1 - _MARGIN_PX)
+        inside = (x >= margin_px) & (x <= width - 1 - margin_px)
+        return inside & (y >= margin_px) & (y <= height - 1 - margin_px)
 
     def _good(self, refined: RefinedCorners, corners: IntArray, guess: BoardImage) -> BoolArray:
         moved_px = np.linalg.norm(refined.corners_px - guess.pixels_px, axis=1)
@@ -206,7 +264,12 @@ class CornerSearch:
         return np.nan_to_num(off_px), np.nan_to_num(self.board.pitch_m * least_stretch(predicted.px_per_m))
 
     def _to_pixels(self, warps: LocalWarps) -> BoardImage:
-        return board_image(self.sight, *warps.at_centres(), step_m=0.05 * self.board.pitch_m)
+        return board_image(self.sight, *warps.at_centres(), step_m=self._step_m)
+
+    @property
+    def _step_m(self) -> float:
+        """Over which the board's image is differentiated."""
+        return 0.05 * self.board.pitch_m
 
 
 def least_stretch(derivative: FloatArray) -> FloatArray:

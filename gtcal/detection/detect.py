@@ -6,32 +6,33 @@ import hashlib
 import json
 import logging
 import re
-from concurrent.futures import as_completed
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from functools import lru_cache
+from itertools import chain
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import cv2
 import numpy as np
 
 from gtcal.board import Board, TaggedBoard
 from gtcal.camera import Camera
-from gtcal.cores import all_cores
-from gtcal.detection.corner_search import SeenBoard
+from gtcal.detection.corner_search import PredictedBoard, SeenBoard
+from gtcal.detection.many_images import Looking, Seen, look_at
 from gtcal.detection.view_detection import detect_view as detect_view
-from gtcal.detection.view_detection import see_board
 from gtcal.errors import GtcalError
 from gtcal.files import MiB, sha256_of, write_aside
 from gtcal.npz import load_arrays
 from gtcal.progress import Progress, silent
 from gtcal.recordings.detections import CameraDetections
-from gtcal.recordings.images import Images, left_out, read_if_whole
+from gtcal.recordings.images import Images, left_out
 from gtcal.verification.lollypop import Lollypop
-from gtcal.verification.lollypop_detection import see_lollypop
 
 CACHE_FOLDER = ".gtcal"
 # What decides, with the boards, what is found: a cache made by another version of one of these isn't taken.
 _DETECTOR = (
+    "cholesky",
     "corner_search",
     "dots",
     "lens_guess",
@@ -55,13 +56,11 @@ def detect(
     progress: Progress = silent,
     workers: int | None = None,
 ) -> CameraDetections:
-    """Find the board in every image, as ``detect_view`` does, or a Lollypop, on ``workers`` threads (default: one per
-    core).
+    """Find the board in every image, as ``detect_view`` does, or a Lollypop, on ``workers`` cores (default: all that
+    there are). What is found does not depend on their number.
 
     camera: where it has parameters, they help to predict corners. Views where the board isn't recognised are left
     out; where that is all of them, a warning of the logger "gtcal" says what was seen instead.
-
-    Nearly all the work is compiled code that lets other threads run, so threads serve as well as processes would.
 
     Images that can't be read are left out, and a warning says how many.
 
@@ -72,19 +71,48 @@ def detect(
     return found
 
 
+@dataclass(frozen=True)
+class Guidance:
+    """What is known of a camera's images before the board is looked for in all of them.
+
+    seen: by index, of those that were looked at already. predicted: by index, where the board should be."""
+
+    seen: Mapping[int, Seen] = field(default_factory=dict)
+    predicted: Mapping[int, PredictedBoard] = field(default_factory=dict)
+
+
+class Guide(Protocol):
+    """Gives a camera's guidance, by its name."""
+
+    @property
+    def rests_on(self) -> str:
+        """A fingerprint of what that is computed from."""
+
+    def __call__(self, camera_name: str) -> Guidance: ...
+
+
 def _detect(
-    images: Images, board: Board | Lollypop, camera: Camera | None, progress: Progress, workers: int | None
+    images: Images,
+    board: Board | Lollypop,
+    camera: Camera | None,
+    progress: Progress,
+    workers: int | None,
+    guidance: Guidance | None = None,
+    of_all: int | None = None,
 ) -> tuple[CameraDetections, str]:
     """What is found, and what to say of images that can't be read."""
+    guidance = guidance or Guidance()
     if camera is not None:
         images = images.expecting(camera.image_width_px, camera.image_height_px)
     name = camera.name if camera is not None else "the images"
-    seen: list[SeenBoard | GtcalError | None] = [None] * len(images)
-    with all_cores(workers) as pool:
-        jobs = {pool.submit(_see, images, index, board, camera): index for index in range(len(images))}
-        for done, job in enumerate(as_completed(jobs), start=1):
-            seen[jobs[job]] = job.result()
-            progress(f"detecting the board in {name}", done, len(images))
+    seen: list[Seen | None] = [None] * len(images)
+    left = [index for index in range(len(images)) if index not in guidance.seen]
+    found = look_at(
+        images, left, Looking(board, camera), predicted=guidance.predicted, jobs=workers, of_all=of_all or len(images)
+    )
+    for done, (index, view) in enumerate(chain(guidance.seen.items(), found), start=1):
+        seen[index] = view
+        progress(f"detecting the board in {name}", done, len(images))
     warning = left_out(name, [view for view in seen if isinstance(view, GtcalError)], len(images))
     views = [
         (stamp, view.corner_ids, view.corners_px)
@@ -108,6 +136,8 @@ def cached_detect(
     progress: Progress = silent,
     workers: int | None = None,
     redo: bool = False,
+    guide: Guide | None = None,
+    of_all: int | None = None,
 ) -> CameraDetections:
     """As ``detect``, but what was found is kept in ``.gtcal`` in the recording's folder and taken from there as long
     as the image files (names and contents), the board, the intrinsics and the detector are the same.
@@ -115,17 +145,22 @@ def cached_detect(
     redo: detect again all the same. A cache that can't be read is made anew, too. Where the folder can't be written,
     the corners are returned all the same, and a warning of the logger "gtcal" says so.
 
+    guide: asked, where nothing is kept, for where the board should be. of_all: how many images of all cameras there are
+    to detect in.
+
     Raises GtcalError where an image can't be read or isn't of the camera's size."""
     path = _cache_path(recording_dir, camera_name, images, board, camera)
-    cached = None if redo else _read_cache(path, board)
+    cached = None if redo else _read_cache(path, board, ("", guide.rests_on if guide is not None else ""))
     if cached is not None:
         progress(f"detecting the board in {camera_name} (kept from before)", len(images), len(images))
         return cached
-    found, warning = _detect(images, board, camera, progress, workers)
+    guidance = guide(camera_name) if guide is not None else None
+    found, warning = _detect(images, board, camera, progress, workers, guidance, of_all)
     if warning:
         _log.warning("%s", warning)
     try:
-        _write_cache(path, found, warning)
+        rests_on = guide.rests_on if guide is not None and guidance is not None and guidance.predicted else ""
+        _write_cache(path, found, {_WARNING: warning, _GUIDE: rests_on})
     except GtcalError as error:
         _log.warning("the corners found in %s are not kept for the next time: %s", camera_name, error)
     return found
@@ -146,13 +181,6 @@ def _cache_path(
     key = _cache_key(images, board, camera)
     safe_name = re.sub(r"[^\w.-]", "_", camera_name)
     return recording_dir / CACHE_FOLDER / f"detections_{safe_name}_{key[:16]}.npz"
-
-
-def _see(images: Images, index: int, board: Board | Lollypop, camera: Camera | None) -> SeenBoard | GtcalError:
-    image = read_if_whole(images, index)
-    if isinstance(image, GtcalError):
-        return image
-    return see_lollypop(image, board, camera) if isinstance(board, Lollypop) else see_board(image, board, camera)
 
 
 def _why_none(name: str, board: Board | Lollypop, camera: Camera | None, n_tags: list[int]) -> str:
@@ -205,17 +233,19 @@ def _detector_version() -> str:
     return hashlib.sha256(b"\0".join(sources)).hexdigest()
 
 
-def _read_cache(path: Path, board: Board | Lollypop) -> CameraDetections | None:
-    """What an earlier run kept, None where there is nothing whole."""
+def _read_cache(path: Path, board: Board | Lollypop, guides: tuple[str, ...] | None = None) -> CameraDetections | None:
+    """What an earlier run kept, None where there is nothing whole, or what guided it is none of ``guides``."""
     if not path.is_file():
         return None
     try:
         kept = load_arrays(path, _MOST_CACHE_BYTES)
         found = CameraDetections(*(kept[name] for name in _CACHED))
         _check_whole(found, board)
-        warning = str(kept[_WARNING]) if _WARNING in kept else ""
+        warning, guide = (str(kept[said]) if said in kept else "" for said in (_WARNING, _GUIDE))
     except Exception as error:  # whatever a damaged file makes numpy and zipfile raise
         _log.warning("%s is damaged (%s); the corners are detected again", path, error)
+        return None
+    if guides is not None and guide not in guides:
         return None
     if warning:
         _log.warning("%s", warning)
@@ -223,6 +253,7 @@ def _read_cache(path: Path, board: Board | Lollypop) -> CameraDetections | None:
 
 
 _WARNING = "warning"  # of images that can't be read; not in all
+_GUIDE = "guide"  # what its guide rested on; not in all
 _MOST_CACHE_BYTES = 512 * MiB
 _CACHED = ("stamps_ns", "view_start", "corner_ids", "corners_px")
 
@@ -245,9 +276,8 @@ def _check_whole(found: CameraDetections, board: Board | Lollypop) -> None:
         raise ValueError("its columns don't fit together, or the board")
 
 
-def _write_cache(path: Path, found: CameraDetections, warning: str) -> None:
+def _write_cache(path: Path, found: CameraDetections, said: dict[str, str]) -> None:
     columns: dict[str, Any] = {name: getattr(found, name) for name in _CACHED}
-    if warning:
-        columns[_WARNING] = np.array(warning)
+    columns |= {name: np.array(text) for name, text in said.items() if text}
     with write_aside(path, binary=True) as file:
         np.savez(file, **columns)

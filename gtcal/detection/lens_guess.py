@@ -80,7 +80,7 @@ def _homographies_applied(board_m: FloatArray, bearings: FloatArray) -> FloatArr
         axis=2,
     )
     rows = np.nan_to_num(rows).reshape(len(bearings), -1, 9)
-    normal = np.einsum("lni,lnj->lij", rows, rows)
+    normal = rows.transpose(0, 2, 1) @ rows
     h = np.linalg.eigh(normal)[1][:, :, 0].reshape(-1, 3, 3)
     rays = np.einsum("lij,nj->lni", h, points)
     facing = np.sign(np.nansum(rays * bearings, axis=(1, 2)))

@@ -13,6 +13,7 @@ import numpy as np
 
 from factors.kernel import kernel
 from gtcal.camera import FloatArray
+from gtcal.detection.cholesky import solve_in_place
 from gtcal.recordings.detections import IntArray
 
 # The nearest known points that take part, and how many of them a homography needs at least.
@@ -72,49 +73,94 @@ def fit_local_warps(
 @kernel
 def _fit_all(board_m, plane, centres_m, spread_m, left_out, terms):  # type: ignore[no-untyped-def]
     distance = np.empty(len(board_m))
+    normal, right, sums = np.empty((8, 8)), np.empty(8), np.empty((4, 6))
     for m in range(len(centres_m)):
         for k in range(len(board_m)):
             distance[k] = math.hypot(board_m[k, 0] - centres_m[m, 0], board_m[k, 1] - centres_m[m, 1])
         if left_out[m] >= 0:
             distance[left_out[m]] = np.inf
-        near = np.argsort(distance)[:_NEIGHBOURS]
-        _fit_one(board_m, plane, centres_m[m], spread_m, near, distance, terms[m])
+        near = _nearest(distance)
+        _fit_one(board_m, plane, centres_m[m], spread_m, near, distance, sums, normal, right, terms[m])
 
 
 @kernel
-def _fit_one(board_m, plane, centre_m, spread_m, near, distance, terms):  # type: ignore[no-untyped-def]
+def _nearest(distance):  # type: ignore[no-untyped-def]
+    """The nearest points, the very nearest of them first; all that are as far as the last."""
+    n = len(distance)
+    last = np.partition(distance, _NEIGHBOURS - 1)[_NEIGHBOURS - 1] if n > _NEIGHBOURS else np.inf
+    near = np.flatnonzero((distance <= last) & np.isfinite(distance))
+    for i in range(1, len(near)):
+        if distance[near[i]] < distance[near[0]]:
+            near[0], near[i] = near[i], near[0]
+    return near
+
+
+@kernel
+def _fit_one(  # type: ignore[no-untyped-def]
+    board_m, plane, centre_m, spread_m, near, distance, sums, normal, right, terms
+):
     """Weighted linear least squares in  t + A b - x (g . b) = x,  with x centred and scaled to the neighbours."""
-    first = distance[near[0]]
+    if len(near) < _FEWEST:
+        return
     origin_x, origin_y = plane[near[0], 0], plane[near[0], 1]
     size = 1e-300
     for k in near:
-        if math.isfinite(distance[k]):
-            size = max(size, math.hypot(plane[k, 0] - origin_x, plane[k, 1] - origin_y))
-    normal, right, row = np.zeros((8, 8)), np.zeros(8), np.zeros(8)
-    n = 0
+        size = max(size, math.hypot(plane[k, 0] - origin_x, plane[k, 1] - origin_y))
+    sums[:] = 0.0
     for k in near:
-        if not math.isfinite(distance[k]):
-            continue
-        n += 1
-        weight = math.exp(-0.5 * (distance[k] / (spread_m + first)) ** 2)
+        weight = math.exp(-0.5 * (distance[k] / (spread_m + distance[near[0]])) ** 2)
         bx, by = (board_m[k, 0] - centre_m[0]) / spread_m, (board_m[k, 1] - centre_m[1]) / spread_m
         x, y = (plane[k, 0] - origin_x) / size, (plane[k, 1] - origin_y) / size
-        row[:] = (1.0, 0.0, bx, by, 0.0, 0.0, -x * bx, -x * by)
-        _add(row, x, weight, normal, right)
-        row[:] = (0.0, 1.0, 0.0, 0.0, bx, by, -y * bx, -y * by)
-        _add(row, y, weight, normal, right)
-    if n < _FEWEST or not _spans_a_plane(normal):
+        _add(sums[0], weight, bx, by)
+        _add(sums[1], weight * x, bx, by)
+        _add(sums[2], weight * y, bx, by)
+        _add(sums[3], weight * (x * x + y * y), bx, by)
+    _fill(sums, normal, right)
+    if not _spans_a_plane(normal):
         return
     for i in range(8):
         normal[i, i] += 1e-9
     normal[6, 6] += _RIDGE
     normal[7, 7] += _RIDGE
-    found = np.linalg.solve(normal, right)
+    if not solve_in_place(normal, right):
+        return
     # Back from centred coordinates: x -> origin + size x leaves g as it is.
-    terms[0], terms[1] = origin_x + size * found[0], origin_y + size * found[1]
-    terms[2], terms[3] = origin_x * found[6] + size * found[2], origin_x * found[7] + size * found[3]
-    terms[4], terms[5] = origin_y * found[6] + size * found[4], origin_y * found[7] + size * found[5]
-    terms[6], terms[7] = found[6], found[7]
+    terms[0], terms[1] = origin_x + size * right[0], origin_y + size * right[1]
+    terms[2], terms[3] = origin_x * right[6] + size * right[2], origin_x * right[7] + size * right[3]
+    terms[4], terms[5] = origin_y * right[6] + size * right[4], origin_y * right[7] + size * right[5]
+    terms[6], terms[7] = right[6], right[7]
+
+
+@kernel
+def _add(sums, weight, bx, by):  # type: ignore[no-untyped-def]
+    """A neighbour to the sums of 1, bx, by, bx^2, bx by and by^2."""
+    sums[0] += weight
+    sums[1] += weight * bx
+    sums[2] += weight * by
+    sums[3] += weight * bx * bx
+    sums[4] += weight * bx * by
+    sums[5] += weight * by * by
+
+
+@kernel
+def _fill(sums, normal, right):  # type: ignore[no-untyped-def]
+    """The normal equations from the sums weighted by 1, x, y and x^2 + y^2."""
+    normal[:] = 0.0
+    for axis, t, a in ((0, 0, 2), (1, 1, 4)):
+        plain, by_x = sums[0], sums[1 + axis]
+        normal[t, t] = plain[0]
+        right[t] = by_x[0]
+        for i in range(2):
+            normal[t, a + i] = normal[a + i, t] = plain[1 + i]
+            normal[t, 6 + i] = normal[6 + i, t] = -by_x[1 + i]
+            right[a + i] = by_x[1 + i]
+            for j in range(2):
+                normal[a + i, a + j] = plain[3 + i + j]
+                normal[a + i, 6 + j] = normal[6 + j, a + i] = -by_x[3 + i + j]
+    for i in range(2):
+        right[6 + i] = -sums[3, 1 + i]
+        for j in range(2):
+            normal[6 + i, 6 + j] = sums[3, 3 + i + j]
 
 
 @kernel
@@ -124,12 +170,3 @@ def _spans_a_plane(normal):  # type: ignore[no-untyped-def]
     xx, xy, yy = normal[2, 2] - x * x / weight, normal[2, 3] - x * y / weight, normal[3, 3] - y * y / weight
     trace, area = (xx + yy) / weight, (xx * yy - xy * xy) / weight**2
     return area > _LEAST_SPREAD**2 * trace
-
-
-@kernel
-def _add(row, value, weight, normal, right):  # type: ignore[no-untyped-def]
-    for i in range(8):
-        if row[i] != 0.0:
-            right[i] += weight * row[i] * value
-            for j in range(8):
-                normal[i, j] += weight * row[i] * row[j]

@@ -19,8 +19,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from factors.kernel import kernel
+from factors.kernel import kernel, reordered
 from gtcal.camera import BoolArray, FloatArray
+from gtcal.detection.cholesky import solve_in_place
 from gtcal.detection.sight import BoardImage
 from gtcal.recordings.images import GreyImage
 
@@ -28,7 +29,13 @@ from gtcal.recordings.images import GreyImage
 # the edges' curvatures in 1/px towards their normals. A saddle frees the first eight: with p1 and p2 free it follows
 # the light across the window instead of the corner.
 _N_SADDLE, _N_ALL = 8, 10
-_ROUNDS, _STEPS, _SETTLED_PX = 3, 12, 2e-3
+N_PARAMETERS = _N_ALL + 2
+_N_FOUND = 6 + N_PARAMETERS
+_ROUNDS, _STEPS = 3, 12
+# How far the corner may end from the middle of its window: at first, and at last.
+_ABOUT_THERE_PX, _THERE_PX = 0.3, 0.02
+# The last step is so short and promises so little, as a part of the squared residuals, that it needn't be looked at.
+_SETTLED_PX, _SETTLED_GAIN = 2e-3, 0.01
 # A fit that leaves residuals as large as the step itself has found nothing.
 _HOPELESS = 1.0
 # A window narrower than this has too few pixels for the fit, one wider gains nothing and feels the lens.
@@ -36,7 +43,18 @@ _MIN_RADIUS_PX, MAX_RADIUS_PX = 2.0, 10.0
 _MAX_PIXELS = (2 * int(MAX_RADIUS_PX) + 3) ** 2
 _START_BLUR_PX = 0.8
 _MIN_LOG_BLUR, _MAX_LOG_BLUR = math.log(0.25), math.log(6.0)
-_SQRT_HALF, _STEP_SLOPE = math.sqrt(0.5), math.sqrt(2.0 / math.pi)
+# The smoothed step and its slope are looked up, so close that reading on a straight line is off by 2e-6.
+_TABLE_END, _PER_UNIT = 6.0, 256
+
+
+def _step_table() -> FloatArray:
+    """(N, 2) erf(u / sqrt(2)) and its slope."""
+    u = np.arange(2 * _TABLE_END * _PER_UNIT + 2) / _PER_UNIT - _TABLE_END  # one more, for reading between
+    steps = [math.erf(math.sqrt(0.5) * x) for x in u.tolist()]
+    return np.column_stack([steps, math.sqrt(2.0 / math.pi) * np.exp(-0.5 * u**2)])
+
+
+_STEP_TABLE = _step_table()
 
 
 @dataclass(frozen=True)
@@ -49,6 +67,7 @@ class RefinedCorners:
     misfit: (N,) rms of the residuals over |step|; NaN where the fit failed.
     blur_px: (N,) the larger of the two edges' Gaussian blurs.
     turned_rad: (N,) the larger of the angles by which the two edges turned away from the predicted ones.
+    parameters: (N, 12) of the fits, to go on from.
     """
 
     corners_px: FloatArray
@@ -56,6 +75,7 @@ class RefinedCorners:
     misfit: FloatArray
     blur_px: FloatArray
     turned_rad: FloatArray
+    parameters: FloatArray
 
 
 def refine_corners(
@@ -65,14 +85,17 @@ def refine_corners(
     saddle: BoolArray,
     clear_band_m: float,
     clear_reach_m: float,
+    going_on_from: FloatArray | None = None,
 ) -> RefinedCorners:
     """Fit the corners of a board near predicted places.
 
     image: uint8 (H, W). guess: the N predicted places. saddle: (N,) whether black lies across from black.
     clear_band_m, clear_reach_m: how far the print around a corner is as assumed (see ``Board``): the window is
         that part of the print.
+    going_on_from: (N, 12) parameters of earlier fits, of which only the print's scale and the lens's bend are taken
+        from the guess. The window then ends where the corner does; without, only about there.
     """
-    found = np.full((len(guess.pixels_px), 6), np.nan)
+    found = np.full((len(guess.pixels_px), _N_FOUND), np.nan)
     _refine_all(
         image,
         np.ascontiguousarray(guess.pixels_px, dtype=np.float64),
@@ -81,27 +104,35 @@ def refine_corners(
         np.ascontiguousarray(saddle),
         clear_band_m,
         clear_reach_m,
+        np.empty((0, N_PARAMETERS)) if going_on_from is None else going_on_from,
         found,
     )
-    return RefinedCorners(found[:, :2], found[:, 2], found[:, 3], found[:, 4], found[:, 5])
+    return RefinedCorners(found[:, :2], found[:, 2], found[:, 3], found[:, 4], found[:, 5], found[:, 6:])
 
 
 @kernel
-def _refine_all(image, guess_px, px_per_m, px_per_m2, saddle, band_m, reach_m, found):  # type: ignore[no-untyped-def]
-    window = np.empty((_MAX_PIXELS, 3))
-    q, m_per_px = np.empty(_N_ALL + 2), np.empty(2)
+def _refine_all(  # type: ignore[no-untyped-def]
+    image, guess_px, px_per_m, px_per_m2, saddle, band_m, reach_m, going_on_from, found
+):
+    window, rows = np.empty((3, _MAX_PIXELS)), np.empty((_N_ALL + 1, _MAX_PIXELS))
+    q, m_per_px = np.empty(N_PARAMETERS), np.empty(2)
     for i in range(len(guess_px)):
         n_free = _N_SADDLE if saddle[i] else _N_ALL
         if not _start(guess_px[i], px_per_m[i], px_per_m2[i], q, m_per_px):
             continue
         angle_x, angle_y = q[2], q[3]
-        misfit = _fit_in_moving_window(image, m_per_px, band_m, reach_m, n_free, window, q)
+        moved_px = _ABOUT_THERE_PX
+        if len(going_on_from):
+            q[:_N_ALL] = going_on_from[i, :_N_ALL]
+            moved_px = _THERE_PX
+        misfit = _fit_in_moving_window(image, m_per_px, band_m, reach_m, n_free, moved_px, window, rows, q)
         if math.isnan(misfit):
             continue
         found[i, 0], found[i, 1], found[i, 2] = q[0], q[1], q[7]
         found[i, 3] = misfit / max(abs(q[7]), 1e-9)
         found[i, 4] = math.exp(max(q[4], q[5]))
         found[i, 5] = max(_apart(q[2], angle_x), _apart(q[3], angle_y))
+        found[i, 6:] = q
 
 
 @kernel
@@ -131,7 +162,7 @@ def _start(guess_px, px_per_m, px_per_m2, q, m_per_px):  # type: ignore[no-untyp
 
 
 @kernel
-def _fit_in_moving_window(image, m_per_px, band_m, reach_m, n_free, window, q):  # type: ignore[no-untyped-def]
+def _fit_in_moving_window(image, m_per_px, band_m, reach_m, n_free, moved_px, window, rows, q):  # type: ignore[no-untyped-def]
     """Fit, lay the window where the corner and its edges were found, and fit again. Returns the rms residual, NaN on
     failure."""
     misfit = np.nan
@@ -140,12 +171,12 @@ def _fit_in_moving_window(image, m_per_px, band_m, reach_m, n_free, window, q): 
         n = _collect(image, q, m_per_px, band_m, reach_m, window)
         if n < 2 * n_free:
             return np.nan
-        if math.isnan(misfit):
-            q[6] = window[:n, 2].mean()
-        misfit = _fit(window, n, n_free, q)
+        if math.isnan(misfit) and q[7] == 0.0:
+            q[6] = window[2, :n].mean()
+        misfit = _fit(window, n, n_free, rows, q)
         if not misfit < _HOPELESS * abs(q[7]) or not math.hypot(q[0] - x, q[1] - y) < MAX_RADIUS_PX:
             return np.nan
-        if math.hypot(q[0] - x, q[1] - y) < 0.02:
+        if math.hypot(q[0] - x, q[1] - y) < moved_px:
             break
     return misfit
 
@@ -167,7 +198,7 @@ def _collect(image, q, m_per_px, band_m, reach_m, window):  # type: ignore[no-un
             u, v = abs(cos_x * dx + sin_x * dy), abs(cos_y * dx + sin_y * dy)
             inside = u <= reach_x and v <= reach_y and (u <= band_x or v <= band_y)
             if inside and dx * dx + dy * dy <= r * r:
-                window[n, 0], window[n, 1], window[n, 2] = x, y, image[y, x]
+                window[0, n], window[1, n], window[2, n] = x, y, image[y, x]
                 n += 1
     return n
 
@@ -178,105 +209,100 @@ def _radius(clear_px, keep_off_px):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _fit(window, n, n_free, q):  # type: ignore[no-untyped-def]
+def _fit(window, n, n_free, rows, q):  # type: ignore[no-untyped-def]
     """Levenberg-Marquardt on the first ``n_free`` parameters in place. Returns the rms residual, or NaN."""
     hessian, gradient = np.empty((n_free, n_free)), np.empty(n_free)
     new_hessian, new_gradient = np.empty((n_free, n_free)), np.empty(n_free)
-    damped, step, row, trial = np.empty((n_free, n_free)), np.empty(n_free), np.empty(_N_ALL), q.copy()
+    damped, step, trial = np.empty((n_free, n_free)), np.empty(n_free), q.copy()
     damping = 1e-3
-    cost = _normal_equations(window, n, n_free, q, row, hessian, gradient)
+    cost = _normal_equations(window, n, n_free, q, rows, hessian, gradient)
     for _ in range(_STEPS):
         damped[:] = hessian
         step[:] = gradient
         for i in range(n_free):
             damped[i, i] = hessian[i, i] * (1.0 + damping) + 1e-9
         new_cost = np.inf
-        if _solve(damped, step):
+        if solve_in_place(damped, step):
             trial[:n_free] = q[:n_free] + step
             trial[4] = min(max(trial[4], _MIN_LOG_BLUR), _MAX_LOG_BLUR)
             trial[5] = min(max(trial[5], _MIN_LOG_BLUR), _MAX_LOG_BLUR)
-            new_cost = _normal_equations(window, n, n_free, trial, row, new_hessian, new_gradient)
+            gain = 0.0
+            for i in range(n_free):
+                gain += gradient[i] * step[i]
+            if math.hypot(step[0], step[1]) < _SETTLED_PX and gain < _SETTLED_GAIN * cost:
+                q[:] = trial
+                break
+            new_cost = _normal_equations(window, n, n_free, trial, rows, new_hessian, new_gradient)
         if not new_cost <= cost:
             damping *= 10.0
             if damping > 1e6:
                 break
             continue
-        settled = math.hypot(step[0], step[1]) < _SETTLED_PX and new_cost > 0.99 * cost
         q[:] = trial
         hessian[:] = new_hessian
         gradient[:] = new_gradient
         cost = new_cost
         damping = max(0.1 * damping, 1e-7)
-        if settled:
-            break
     return math.sqrt(cost / n)
 
 
 @kernel
-def _normal_equations(window, n, n_free, q, row, hessian, gradient):  # type: ignore[no-untyped-def]
-    hessian[:] = 0.0
-    gradient[:] = 0.0
-    normals = _normals(q)
-    cost = 0.0
+def _normal_equations(window, n, n_free, q, rows, hessian, gradient):  # type: ignore[no-untyped-def]
+    _fill_rows(window, n, q, rows)
+    for i in range(n_free):
+        gradient[i] = _dot(rows, i, _N_ALL, n)
+        for j in range(i + 1):
+            hessian[i, j] = _dot(rows, i, j, n)
+    return _dot(rows, _N_ALL, _N_ALL, n)
+
+
+@reordered
+def _dot(rows, i, j, n):  # type: ignore[no-untyped-def]
+    total = 0.0
     for k in range(n):
-        residual = _residual(window[k], q, normals, row)
-        cost += residual * residual
-        for i in range(n_free):
-            gradient[i] += row[i] * residual
-            for j in range(i + 1):
-                hessian[i, j] += row[i] * row[j]
-    return cost
+        total += rows[i, k] * rows[j, k]
+    return total
 
 
 @kernel
-def _normals(q):  # type: ignore[no-untyped-def]
-    """Cosine and sine of each edge's normal, and one over its blur."""
-    return math.cos(q[2]), math.sin(q[2]), math.exp(-q[4]), math.cos(q[3]), math.sin(q[3]), math.exp(-q[5])
+def _fill_rows(window, n, q, rows):  # type: ignore[no-untyped-def]
+    """Write the model's derivatives by its parameters at each pixel (x, y, grey), and below them what is left of the
+    grey value. In three passes, of which the processor's vectors do the first and the last."""
+    cos_x, sin_x, per_x = math.cos(q[2]), math.sin(q[2]), math.exp(-q[4])
+    cos_y, sin_y, per_y = math.cos(q[3]), math.sin(q[3]), math.exp(-q[5])
+    x0, y0, p0, p3, p1, p2, bent_x, bent_y = q[0], q[1], q[6], q[7], q[8], q[9], q[10], q[11]
+    for k in range(n):
+        dx, dy = window[0, k] - x0, window[1, k] - y0
+        along_x, along_y = cos_x * dy - sin_x * dx, cos_y * dy - sin_y * dx
+        across_x, across_y = cos_x * dx + sin_x * dy, cos_y * dx + sin_y * dy
+        rows[4, k] = per_x * (across_x - 0.5 * bent_x * along_x * along_x)
+        rows[5, k] = per_y * (across_y - 0.5 * bent_y * along_y * along_y)
+    for k in range(n):
+        rows[8, k], rows[6, k] = _smooth_step(rows[4, k])
+        rows[9, k], rows[7, k] = _smooth_step(rows[5, k])
+    for k in range(n):
+        dx, dy = window[0, k] - x0, window[1, k] - y0
+        along_x, along_y = cos_x * dy - sin_x * dx, cos_y * dy - sin_y * dx
+        across_x, across_y = cos_x * dx + sin_x * dy, cos_y * dx + sin_y * dy
+        bend_x, bend_y = bent_x * along_x, bent_y * along_y
+        s, t = rows[8, k], rows[9, k]
+        by_u, by_v = per_x * (p1 + p3 * t) * rows[6, k], per_y * (p2 + p3 * s) * rows[7, k]
+        rows[0, k] = -by_u * (cos_x + bend_x * sin_x) - by_v * (cos_y + bend_y * sin_y)
+        rows[1, k] = -by_u * (sin_x - bend_x * cos_x) - by_v * (sin_y - bend_y * cos_y)
+        rows[2, k] = by_u * along_x * (1.0 + bent_x * across_x)
+        rows[3, k] = by_v * along_y * (1.0 + bent_y * across_y)
+        rows[4, k] *= -by_u / per_x
+        rows[5, k] *= -by_v / per_y
+        rows[6, k] = 1.0
+        rows[7, k] = s * t
+        rows[10, k] = window[2, k] - (p0 + p3 * s * t + p1 * s + p2 * t)
 
 
 @kernel
-def _residual(pixel, q, normals, row):  # type: ignore[no-untyped-def]
-    """Grey value minus model at a pixel (x, y, grey); ``row`` receives the model's derivatives."""
-    cos_x, sin_x, per_x, cos_y, sin_y, per_y = normals
-    dx, dy = pixel[0] - q[0], pixel[1] - q[1]
-    along_x, along_y = cos_x * dy - sin_x * dx, cos_y * dy - sin_y * dx
-    across_x, across_y = cos_x * dx + sin_x * dy, cos_y * dx + sin_y * dy
-    bend_x, bend_y = q[10] * along_x, q[11] * along_y
-    u, v = per_x * (across_x - 0.5 * bend_x * along_x), per_y * (across_y - 0.5 * bend_y * along_y)
-    ux, uy = per_x * (cos_x + bend_x * sin_x), per_x * (sin_x - bend_x * cos_x)
-    vx, vy = per_y * (cos_y + bend_y * sin_y), per_y * (sin_y - bend_y * cos_y)
-    s, t = math.erf(_SQRT_HALF * u), math.erf(_SQRT_HALF * v)
-    by_u = (q[8] + q[7] * t) * _STEP_SLOPE * math.exp(-0.5 * u * u)
-    by_v = (q[9] + q[7] * s) * _STEP_SLOPE * math.exp(-0.5 * v * v)
-    row[0], row[1] = -by_u * ux - by_v * vx, -by_u * uy - by_v * vy
-    row[2] = by_u * per_x * along_x * (1.0 + q[10] * across_x)
-    row[3] = by_v * per_y * along_y * (1.0 + q[11] * across_y)
-    row[4], row[5] = -by_u * u, -by_v * v
-    row[6], row[7], row[8], row[9] = 1.0, s * t, s, t
-    return pixel[2] - (q[6] + q[7] * s * t + q[8] * s + q[9] * t)
-
-
-@kernel
-def _solve(matrix, vector):  # type: ignore[no-untyped-def]
-    """Solve in place by Cholesky on the lower triangle. False where the matrix isn't positive definite."""
-    n = len(vector)
-    for j in range(n):
-        for i in range(j, n):
-            rest = matrix[i, j]
-            for k in range(j):
-                rest -= matrix[i, k] * matrix[j, k]
-            if i > j:
-                matrix[i, j] = rest / matrix[j, j]
-            elif not rest > 0.0:
-                return False
-            else:
-                matrix[j, j] = math.sqrt(rest)
-    for i in range(n):
-        for k in range(i):
-            vector[i] -= matrix[i, k] * vector[k]
-        vector[i] /= matrix[i, i]
-    for i in range(n - 1, -1, -1):
-        for k in range(i + 1, n):
-            vector[i] -= matrix[k, i] * vector[k]
-        vector[i] /= matrix[i, i]
-    return True
+def _smooth_step(u):  # type: ignore[no-untyped-def]
+    """erf(u / sqrt(2)) and its slope."""
+    at = (min(max(u, -_TABLE_END), _TABLE_END) + _TABLE_END) * _PER_UNIT
+    i = int(at)
+    part = at - i
+    s, slope = _STEP_TABLE[i, 0], _STEP_TABLE[i, 1]
+    return s + part * (_STEP_TABLE[i + 1, 0] - s), slope + part * (_STEP_TABLE[i + 1, 1] - slope)

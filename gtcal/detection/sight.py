@@ -15,12 +15,14 @@ from gtcal.detection.lens_guess import guess_lens
 _LEAST_COSINE = 0.05
 
 
-class Sight(Protocol):
-    def to_plane(self, pixels_px: FloatArray) -> FloatArray:
-        """(N, 2) pixels to (N, 2) points of the plane, NaN where there is none."""
-
+class Plane(Protocol):
     def to_pixels(self, plane: FloatArray) -> FloatArray:
         """(N, 2) points of the plane to (N, 2) pixels, NaN where there is none."""
+
+
+class Sight(Plane, Protocol):
+    def to_plane(self, pixels_px: FloatArray) -> FloatArray:
+        """(N, 2) pixels to (N, 2) points of the plane, NaN where there is none."""
 
 
 class PixelSight:
@@ -52,6 +54,18 @@ class BearingSight:
     def to_pixels(self, plane: FloatArray) -> FloatArray:
         in_virtual = np.column_stack([plane, np.ones(len(plane))])
         return self.camera.project(in_virtual @ self.virtual_R_camera)[0]
+
+
+@dataclass(frozen=True)
+class BoardSight:
+    """Intrinsics and the board's pose known: the board's own plane z = 0. camera_T_board: (4, 4)."""
+
+    camera: Camera
+    camera_T_board: FloatArray
+
+    def to_pixels(self, plane: FloatArray) -> FloatArray:
+        R, t = self.camera_T_board[:3, :3], self.camera_T_board[:3, 3]
+        return self.camera.project(plane @ R[:, :2].T + t)[0]
 
 
 def sight_of(camera: Camera | None, image_shape: tuple[int, int], board_m: FloatArray, seen_px: FloatArray) -> Sight:
@@ -90,15 +104,15 @@ class BoardImage:
         return BoardImage(self.pixels_px[which], self.px_per_m[which], self.px_per_m2[which])
 
 
-def board_image(sight: Sight, plane: FloatArray, plane_per_m: FloatArray, step_m: float) -> BoardImage:
+def board_image(sight: Plane, plane: FloatArray, plane_per_m: FloatArray, step_m: float) -> BoardImage:
     """Of the board's points that lie at ``plane`` (N, 2), which has the derivative ``plane_per_m`` (N, 2, 2) to the
     board point in metres; by differences over ``step_m``."""
-    here = sight.to_pixels(plane)
     steps = step_m * np.moveaxis(plane_per_m, 2, 0)
-    ahead, behind = ([sight.to_pixels(plane + sign * step) for step in steps] for sign in (1.0, -1.0))
-    first = [(a - b) / (2 * step_m) for a, b in zip(ahead, behind, strict=True)]
-    second = [(a - 2 * here + b) / step_m**2 for a, b in zip(ahead, behind, strict=True)]
-    return BoardImage(here, np.stack(first, axis=2), np.stack(second, axis=2))
+    around = sight.to_pixels(np.concatenate([plane[None], plane + steps, plane - steps]).reshape(-1, 2))
+    here, x_ahead, y_ahead, x_behind, y_behind = around.reshape(5, -1, 2)
+    first = np.stack([x_ahead - x_behind, y_ahead - y_behind], axis=2) / (2 * step_m)
+    second = np.stack([x_ahead - 2 * here + x_behind, y_ahead - 2 * here + y_behind], axis=2) / step_m**2
+    return BoardImage(here, first, second)
 
 
 def _rotation_to_z(axis: FloatArray) -> FloatArray:

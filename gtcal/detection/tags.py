@@ -3,6 +3,7 @@ where the board says that it must be."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -14,8 +15,9 @@ from gtcal.camera import BoolArray, FloatArray
 from gtcal.recordings.detections import IntArray
 from gtcal.recordings.images import GreyImage
 
-# Threshold in grey levels and enlargement of each try, in order; on most views the first one reads enough tags.
-_PASSES = ((25, 1), (7, 1), (3, 1), (15, 2), (3, 2))
+# Thresholds in grey levels of each try, in order; on most views the first one reads enough tags. Then those of the
+# tries around what was read, enlarged: where nothing is read at all, enlargement shows nothing either (measured).
+_THRESHOLDS, _ENLARGED_THRESHOLDS, _ENLARGEMENT = (25, 7, 3), (15, 3), 2
 _ENOUGH_TAGS = 4
 # Two tags disagree when one lies further from where the other says than this part of their distance.
 _TOLERANCE = 0.2
@@ -60,14 +62,40 @@ def find_tags(image: GreyImage, board: TaggedBoard) -> tuple[FoundTags, int]:
     how many it reads at most, agreeing or not.
 
     Thresholding ties a tag to its neighbours where the print is faint, blurred or small, so the image is tried with
-    several thresholds, and enlarged, until enough tags are read."""
+    several thresholds, and enlarged where some tags were read, until enough are."""
     best, most = FoundTags(np.empty(0, dtype=np.int64), np.empty((0, 4, 2))), 0
-    for threshold, scale in _PASSES:
-        found = read_tags(image, board, threshold=threshold, scale=scale)
+    for found in _tries(image, board):
         best, most = max(best, agreeing_tags(found, board), key=len), max(most, len(found))
         if len(best) >= min(_ENOUGH_TAGS, len(board.tag_ids)):
             break
     return best, most
+
+
+def _tries(image: GreyImage, board: TaggedBoard) -> Iterator[FoundTags]:
+    richest = FoundTags(np.empty(0, dtype=np.int64), np.empty((0, 4, 2)))
+    for threshold in _THRESHOLDS:
+        found = read_tags(image, board, threshold=threshold, scale=1)
+        richest = max(richest, found, key=len)
+        yield found
+    if not len(richest):
+        return
+    columns, rows = _reach(richest, board, image.shape)
+    for threshold in _ENLARGED_THRESHOLDS:
+        found = read_tags(image[rows, columns], board, threshold=threshold, scale=_ENLARGEMENT)
+        yield FoundTags(found.tags, found.corners_px + np.array([columns.start, rows.start]))
+
+
+def _reach(found: FoundTags, board: TaggedBoard, shape: tuple[int, ...]) -> tuple[slice, slice]:
+    """The columns and rows of an image in which the board lies that these tags are of, if any of them is."""
+    x_min, y_min, x_max, y_max = board.bounds_m
+    tag_m = np.linalg.norm(np.diff(board.tag_corners_m[found.tags, :2, :2], axis=1), axis=2).min()
+    sides_px = np.linalg.norm(found.corners_px - np.roll(found.corners_px, 1, axis=1), axis=2)
+    board_px = sides_px.max() * np.hypot(x_max - x_min, y_max - y_min) / tag_m
+    corners_px = found.corners_px.reshape(-1, 2)
+    size_px = np.array([shape[1], shape[0]])
+    first = np.clip(np.floor(corners_px.min(axis=0) - board_px), 0, size_px).astype(int)
+    last = np.clip(np.ceil(corners_px.max(axis=0) + board_px), 0, size_px).astype(int)
+    return slice(int(first[0]), int(last[0])), slice(int(first[1]), int(last[1]))
 
 
 def read_tags(image: GreyImage, board: Tagged, *, threshold: int, scale: int) -> FoundTags:

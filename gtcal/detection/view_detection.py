@@ -6,15 +6,17 @@ counts where it belongs to a tag whose code is read. Boards without tags are fou
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 
 from gtcal.board import Board, TaggedBoard
 from gtcal.camera import BoolArray, Camera, FloatArray
-from gtcal.detection.corner_search import FEWEST_CORNERS, CornerSearch, SeenBoard, least_stretch
+from gtcal.detection.corner_search import FEWEST_CORNERS, CornerSearch, PredictedBoard, SeenBoard, least_stretch
 from gtcal.detection.local_warp import fit_local_warps
 from gtcal.detection.plain_view import see_plain_board
+from gtcal.detection.sight import BoardImage
 from gtcal.detection.tags import (
     ABSENT_CORRELATION,
     READ_CORRELATION,
@@ -41,18 +43,48 @@ def detect_view(image: GreyImage, board: Board, camera: Camera | None = None) ->
     return seen.corner_ids, seen.corners_px
 
 
-def see_board(image: GreyImage, board: Board, camera: Camera | None = None) -> SeenBoard:
-    """As ``detect_view``, and how many tags were read where the board isn't recognised."""
+def see_board(
+    image: GreyImage, board: Board, camera: Camera | None = None, predicted: PredictedBoard | None = None
+) -> SeenBoard:
+    """As ``detect_view``, and how many tags were read where the board isn't recognised.
+
+    predicted: where the board must be, to a few pixels; a board without tags has no use for it. Its corners are then
+    looked for there first, and the board is searched for only where most that should be seen aren't there; where it
+    should be outside the image, not at all. What is found is checked in the same way, and doesn't depend on the
+    prediction."""
     if not isinstance(board, TaggedBoard):
         return see_plain_board(image, board, camera)
+    if predicted is None:
+        return _searched(image, board, camera)
+    looked = _looked_for(image, board, predicted)
+    if looked.n_expected == 0 or 2 * len(looked.seen.corner_ids) > looked.n_expected:
+        return looked.seen
+    return max(looked.seen, _searched(image, board, camera), key=lambda seen: len(seen.corner_ids))
+
+
+def _searched(image: GreyImage, board: TaggedBoard, camera: Camera | None) -> SeenBoard:
     found, n_tags = find_tags(image, board)
     search = _TagSearch(image, board, camera)
     if len(found):
         search.begin(found)
-        while search.extend(*search.known(), search.reachable()):
-            pass
-    ids = np.flatnonzero(search.found) if search.is_the_board() else np.empty(0, dtype=np.int64)
-    return SeenBoard(ids, search.corners_px[ids], n_tags)
+        search.go_on()
+    return search.seen(n_tags)
+
+
+@dataclass(frozen=True)
+class _Looked:
+    """What is seen where the board should be, and how many corners should be."""
+
+    seen: SeenBoard
+    n_expected: int
+
+
+def _looked_for(image: GreyImage, board: TaggedBoard, predicted: PredictedBoard) -> _Looked:
+    search = _TagSearch(image, board, predicted.camera)
+    n_expected = search.begin_at(predicted)
+    if search.found.any():
+        search.go_on()
+    return _Looked(search.seen(int((search.tag_read == 1).sum())), n_expected)
 
 
 @lru_cache(maxsize=8)
@@ -91,12 +123,18 @@ class _TagSearch(CornerSearch):
         candidates = super().reachable()
         return candidates[~self._absent()[candidates]]
 
-    def extend(self, known_m: FloatArray, known_px: FloatArray, candidates: IntArray) -> bool:
+    def seen(self, n_tags: int) -> SeenBoard:
+        """What was found, if it is the board."""
+        if not self.is_the_board():
+            return SeenBoard(np.empty(0, dtype=np.int64), np.empty((0, 2)), n_tags)
+        self.polish()
+        ids = np.flatnonzero(self.found)
+        return SeenBoard(ids, self.corners_px[ids], n_tags)
+
+    def _look(self, candidates: IntArray, guess: BoardImage) -> None:
         """As for any board, then the tags are read."""
-        if not super().extend(known_m, known_px, candidates):
-            return False
+        super()._look(candidates, guess)
         self._read_tags()
-        return True
 
     def is_the_board(self) -> bool:
         """Whether what was found is this board: enough tags are read, more than are found to be something else, and
