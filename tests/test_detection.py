@@ -345,7 +345,7 @@ def no_detection(monkeypatch: pytest.MonkeyPatch) -> Callable[[], None]:
         def fail(*_: object, **__: object) -> None:
             raise AssertionError("detected again")
 
-        monkeypatch.setattr(gtcal.detection.detect, "see_board", fail)
+        monkeypatch.setattr(gtcal.detection.detect, "look_at", fail)
 
     return forbid
 
