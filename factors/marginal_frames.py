@@ -178,9 +178,9 @@ class MarginalFramesFactor(gtsam.CustomFactor):
         total, loss = np.zeros((len(ref_T_body), n_columns, n_columns)), 0.0
         body_T_board = pose_at(values, self._body_T_board)
         shape = values.atVector(self._shape) if isinstance(self._shape, int) else self._shape
-        theta_column = 12 + 6 * len(self._cameras)
-        for c, (camera, views, frame) in enumerate(zip(self._cameras, part.views, part.frames, strict=True)):
-            of_views = ref_T_body[frame]
+        theta_column = 12 + 6 * len(self._cameras) + np.cumsum([0, *(camera.n_theta for camera in self._cameras)])
+        for c, views, frame in part.seen:
+            camera, of_views = self._cameras[c], ref_T_body[frame]
             found = view_moments(
                 views,
                 chain(pose_at(values, camera.camera_T_ref), of_views, body_T_board),
@@ -192,27 +192,27 @@ class MarginalFramesFactor(gtsam.CustomFactor):
                 with_shape=isinstance(self._shape, int),
             )
             n_shape = N_SHAPE * isinstance(self._shape, int)
-            add_views(found.moments, frame, of_views, body_T_board, 12 + 6 * c, theta_column, n_shape, total)
-            theta_column += camera.n_theta
+            add_views(found.moments, frame, of_views, body_T_board, 12 + 6 * c, int(theta_column[c]), n_shape, total)
             loss += float(found.loss.sum())
         return total, loss
 
 
 @dataclass(frozen=True)
 class _Part:
-    """Some frames in a row. views, frames: of each camera its views of them, and the place of each view's frame among
-    ``rows``."""
+    """Some frames in a row. seen: of each camera that saw any of them its place among the cameras, its views, and the
+    place of each view's frame among ``rows``."""
 
     rows: slice
-    views: list[CornerViews]
-    frames: list[IntArray]
+    seen: list[tuple[int, CornerViews, IntArray]]
 
 
 def _part(cameras: tuple[CameraFrames, ...], first: int, end: int) -> _Part:
-    edges = [np.searchsorted(camera.frame, (first, end)) for camera in cameras]
-    views = [_some_views(camera.views, *(int(e) for e in of)) for camera, of in zip(cameras, edges, strict=True)]
-    frames = [camera.frame[a:b] - first for camera, (a, b) in zip(cameras, edges, strict=True)]
-    return _Part(slice(first, end), views, frames)
+    seen = []
+    for c, camera in enumerate(cameras):
+        a, b = (int(edge) for edge in np.searchsorted(camera.frame, (first, end)))
+        if a < b:
+            seen.append((c, _some_views(camera.views, a, b), camera.frame[a:b] - first))
+    return _Part(slice(first, end), seen)
 
 
 def _some_views(views: CornerViews, first: int, end: int) -> CornerViews:

@@ -10,7 +10,7 @@ import gtsam
 import numpy as np
 import pytest
 
-from factors import GAUSSIAN, PINHOLE_RADTAN, RobustKernel
+from factors import GAUSSIAN, PINHOLE_RADTAN, RobustKernel, marginal_frames
 from factors.frames import CameraFrames
 from factors.marginal_frames import MarginalFramesFactor
 from factors.noise_chain import NoiseChain
@@ -181,3 +181,13 @@ def graph_cameras() -> list[CameraFrames]:
     views = CornerViews(np.array([0, 1, 2]), np.zeros((2, 3)), np.zeros((2, 2)))
     theta = np.array([500.0, 500.0, 320.0, 240.0, 0.0, 0.0, 0.0, 0.0, 0.0])
     return [CameraFrames(views, np.array([0, 2]), PINHOLE_RADTAN, camera_T_ref_key(0), theta)]
+
+
+def test_a_camera_may_see_nothing_for_long(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of some hundreds of frames, that are summed together."""
+    one = case(*CASES[2])
+    whole = adjust_with_mocap_noise(*one).values
+    monkeypatch.setattr(marginal_frames, "_AT_ONCE", 1)
+    by_frame = adjust_with_mocap_noise(*one).values
+    for key in whole.keys():
+        np.testing.assert_allclose(by_frame.atPose3(key).matrix(), whole.atPose3(key).matrix(), atol=1e-8)
