@@ -27,13 +27,14 @@ from gtcal.fleet.history import RUN_LENGTH, histories
 from gtcal.fleet.jobs import Job
 from gtcal.fleet.jobs_file import read_jobs
 from gtcal.fleet.record import RECORD, record_text
-from gtcal.fleet.run_job import Accepted, Outcome, Task, run_task
+from gtcal.fleet.run_job import Outcome, Task, run_task
 from gtcal.fleet.simulated import FleetOptions, write_fleet
 from gtcal.fleet.site import write_site
 from gtcal.fleet.store import Store
 from gtcal.fleet.workers import InThisProcess, begin_worker, dask_workers
 
 N_RIGS = 10
+VERIFIED_A_DAY = 4
 COMMAND = ("benchmark_fleet.py",)
 
 
@@ -43,6 +44,7 @@ class Grown:
 
     n: int
     batch_s: float
+    coordinator_s: float
     again_s: float
     history_s: float
     site_s: float
@@ -72,14 +74,24 @@ def many(jobs: tuple[Job, ...], n: int) -> list[Job]:
     return found
 
 
-def bare_rate(jobs: tuple[Job, ...], calibration: Accepted) -> float:
-    """Jobs per minute of one process that does nothing else."""
-    tasks = [Task(job, COMMAND, (calibration,)) for job in jobs]
-    run_task(tasks[0])  # kernels are compiled or read
-    started = time.perf_counter()
+@dataclass(frozen=True)
+class Bare:
+    """What a job takes of one process that does nothing else: of its time and of its core, and its result's size."""
+
+    job_s: float
+    cpu_s: float
+    size_mb: float
+
+
+def bare(jobs: tuple[Job, ...]) -> Bare:
+    """The mean of these jobs."""
+    tasks = [Task(job, COMMAND) for job in jobs]
+    outcome = run_task(tasks[0])  # kernels are compiled or read
+    started, cpu_started = time.perf_counter(), time.process_time()
     for task in tasks:
         run_task(task)
-    return 60.0 * len(tasks) / (time.perf_counter() - started)
+    n, size = len(tasks), sum(len(text.encode()) for text in outcome.files.values())
+    return Bare((time.perf_counter() - started) / n, (time.process_time() - cpu_started) / n, size / 1e6)
 
 
 def measured(folder: Path, jobs: tuple[Job, ...], n: int, workers: int) -> Grown:
@@ -87,18 +99,19 @@ def measured(folder: Path, jobs: tuple[Job, ...], n: int, workers: int) -> Grown
     store, wanted = Store.made(folder / f"store{n}"), many(jobs, n)
     with store.locked(), dask_workers(jobs=workers) as cluster:
         run_batch(store, many(jobs, 2 * workers), cluster, COMMAND)  # kernels are compiled or read in every worker
-        took = []
+        took, cpu = [], []
         for _ in range(2):
-            started = time.perf_counter()
+            started, cpu_started = time.perf_counter(), time.process_time()
             assert not run_batch(store, wanted, cluster, COMMAND).failed
             took.append(time.perf_counter() - started)
+            cpu.append(time.process_time() - cpu_started)
     started = time.perf_counter()
     histories(store)
     history_s = time.perf_counter() - started
     started = time.perf_counter()
     write_site(folder / f"site{n}", store, run_length=RUN_LENGTH)
     site_s = time.perf_counter() - started
-    return Grown(n, took[0], took[1], history_s, site_s, memory_mib())
+    return Grown(n, took[0], cpu[0], took[1], history_s, site_s, memory_mib())
 
 
 def memory_mib() -> float:
@@ -142,24 +155,44 @@ def main() -> None:
         jobs = tuple(replace(job, calibration=path) for job in all_jobs if job.kind == "verify")
         grown = [measured(folder, jobs, n, arguments.workers) for n in sizes(arguments.jobs)]
         begin_worker()
-        bare = bare_rate(jobs, Accepted(0, path))
+        verified, calibrated = bare(jobs), bare((calibrate,))
         outcome = run_task(Task(jobs[0], COMMAND))
         simulated = without_solve(folder, jobs, outcome, arguments.simulated)
-    console.print(f"the bare solve: {bare:.0f} jobs a minute in one process, {arguments.frames} frames, 4 cameras")
+    rate = 60.0 / verified.job_s
+    console.print(
+        f"the bare solve of {arguments.frames} frames, 4 cameras, in one process: {rate:.0f} jobs a minute, "
+        f"{1e3 * verified.cpu_s:.0f} ms of a core each"
+    )
     table = Table(title=f"batch on {arguments.workers} processes")
-    for heading in ("jobs", "s", "jobs a minute", "of the bare solve's", "done before, s", "history, s", "site, s"):
+    for heading in ("jobs", "s", "jobs a minute", "of the bare solve's", "coordinator: core, ms a job", "MiB"):
         table.add_column(heading, justify="right")
-    table.add_column("coordinator, MiB", justify="right")
+    for heading in ("done before, s", "history, s", "site, s"):
+        table.add_column(heading, justify="right")
     for one in grown:
-        rate = 60.0 * one.n / one.batch_s
-        numbers = (f"{one.batch_s:.1f}", f"{rate:.0f}", f"{100.0 * rate / (arguments.workers * bare):.0f} %")
-        rest = (f"{one.again_s:.2f}", f"{one.history_s:.2f}", f"{one.site_s:.1f}", f"{one.memory_mib:.0f}")
-        table.add_row(f"{one.n:,}", *numbers, *rest)
+        per_minute = 60.0 * one.n / one.batch_s
+        table.add_row(
+            f"{one.n:,}",
+            f"{one.batch_s:.1f}",
+            f"{per_minute:.0f}",
+            f"{100.0 * per_minute / (arguments.workers * rate):.0f} %",
+            f"{1e3 * one.coordinator_s / one.n:.1f}",
+            f"{one.memory_mib:.0f}",
+            f"{one.again_s:.2f}",
+            f"{one.history_s:.2f}",
+            f"{one.site_s:.1f}",
+        )
     console.print(table)
     batch_s, history_s, mib = simulated
     console.print(
         f"{arguments.simulated:,} jobs without the solve: {batch_s:.1f} s to schedule, write and index them "
         f"({1e3 * batch_s / arguments.simulated:.2f} ms a job), {history_s:.1f} s for all histories, {mib:.0f} MiB"
+    )
+    core_s = calibrated.cpu_s + VERIFIED_A_DAY * verified.cpu_s
+    size_mb = calibrated.size_mb + VERIFIED_A_DAY * verified.size_mb
+    console.print(
+        f"on paper, a calibration and {VERIFIED_A_DAY} verifications of a rig each day, corners given: {core_s:.1f} s "
+        f"of a core and {size_mb:.1f} MB; of 10,000 rigs {10_000 * core_s / 3600.0:.0f} hours of a core and "
+        f"{10.0 * size_mb:.0f} GB a day"
     )
 
 
