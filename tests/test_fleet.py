@@ -31,7 +31,7 @@ from gtcal.fleet.jobs import Job, JobsError, taken_ns_in, taken_ns_of, utc
 from gtcal.fleet.jobs_file import read_jobs
 from gtcal.fleet.measures import Measure
 from gtcal.fleet.rebuild import catch_up, rebuild
-from gtcal.fleet.record import RECORD, Contents, Record, read_record, record_of, record_text
+from gtcal.fleet.record import RECORD, Contents, Record, read_record, record_text
 from gtcal.fleet.run_job import Outcome, Task, run_task
 from gtcal.fleet.simulated import write_fleet
 from gtcal.fleet.store import Store
@@ -299,7 +299,7 @@ def test_records_come_back_as_they_were(fleet: Fleet) -> None:
     for outcome in fleet.outcomes.values():
         record = outcome.record
         plain = replace(record, inputs=tuple(replace(entry, signature="") for entry in record.inputs))
-        assert record_of(record_text(record)) == plain
+        assert read_record(fleet.store.file_of(record)) == plain
         assert record.command_line == COMMAND
         assert json.loads(outcome.files[record.result_file])["provenance"]["command_line"] == list(COMMAND)
 

@@ -18,7 +18,7 @@ from functools import cache
 
 import numpy as np
 from scipy.optimize import brentq
-from scipy.special import ndtr, ndtri, stdtr
+from scipy.special import ndtri, stdtr
 
 from gtcal.camera import FloatArray
 
@@ -126,8 +126,3 @@ def _lag_1(values: FloatArray) -> float:
     total = float(about_line @ about_line)
     lag = float(about_line[1:] @ about_line[:-1]) / total if total > 0.0 else 0.0
     return lag + (2.0 + 4.0 * lag) / n  # of a line that is taken away; 1 + 3 lag of a mean
-
-
-def chance(z: float) -> float:
-    """Of a standard normal number as far out, either way."""
-    return float(2.0 * ndtr(-abs(z)))
