@@ -1,7 +1,8 @@
 """The README's pictures, made by the program itself.
 
-Runs 'gtcal demo' and takes a screenshot of the top of its report in a headless Chromium (without one, that picture is
-left as it is, which one line says), then runs scripts/figure_heatmaps.py.
+Runs 'gtcal demo' and 'gtcal demo --fleet' and takes screenshots of the top of the report and of the fleet's page in a
+headless Chromium (without one, those pictures are left as they are, which one line says), then runs
+scripts/figure_heatmaps.py.
 
     python scripts/readme_pictures.py
 """
@@ -32,17 +33,30 @@ FLAGS = (
     "--virtual-time-budget=4000",  # ms, for the 3-D view to be drawn
 )
 REPORT_SIZE_PX = (1100, 1391)
+FLEET_SIZE_PX = (1240, 590)
 LARGEST_KB = 300
 HEAT_MAPS = Path(__file__).parent / "figure_heatmaps.py"
 
 
 def report_picture(chromium: str, work: Path, output: Path) -> None:
     """The demo's report, down to its worst frames."""
-    demo, shot = work / "demo", work / "report.png"
+    demo = work / "demo"
     _run(sys.executable, "-m", "gtcal", "demo", "--output", str(demo), "--quiet")
-    size = "--window-size={},{}".format(*REPORT_SIZE_PX)
-    page = (demo / "report.html").resolve().as_uri()
-    _run(chromium, *FLAGS, f"--user-data-dir={work / 'profile'}", size, f"--screenshot={shot}", page)
+    screenshot(chromium, work, demo / "report.html", REPORT_SIZE_PX, output)
+
+
+def fleet_picture(chromium: str, work: Path, output: Path) -> None:
+    """The fleet's page of the demo's site."""
+    demo = work / "fleet"
+    _run(sys.executable, "-m", "gtcal", "demo", "--fleet", "--output", str(demo), "--quiet")
+    screenshot(chromium, work, demo / "site" / "index.html", FLEET_SIZE_PX, output)
+
+
+def screenshot(chromium: str, work: Path, page: Path, size_px: tuple[int, int], output: Path) -> None:
+    """The top of a page, in a window of this size."""
+    shot, size = work / output.name, "--window-size={},{}".format(*size_px)
+    profile = f"--user-data-dir={work / 'profile'}"
+    _run(chromium, *FLAGS, profile, size, f"--screenshot={shot}", page.resolve().as_uri())
     _save_small(shot, output)
 
 
@@ -83,11 +97,14 @@ def main() -> None:
     chromium = next(filter(None, map(shutil.which, CHROMIUMS)), None)
     with tempfile.TemporaryDirectory() as work:
         if chromium is None:
-            print(f"report.png: skipped: no Chromium is installed (none of {', '.join(CHROMIUMS)} is on the path)")
+            print(f"report.png, fleet.png: skipped: no Chromium is on the path (none of {', '.join(CHROMIUMS)})")
         else:
             with console.status("running the demo, a minute or so"):
                 report_picture(chromium, Path(work), folder / "report.png")
             print(f"written: {folder / 'report.png'}")
+            with console.status("running the demo of a fleet, a few minutes"):
+                fleet_picture(chromium, Path(work), folder / "fleet.png")
+            print(f"written: {folder / 'fleet.png'}")
         with console.status("drawing the heat maps"):
             heat_map_picture(Path(work), folder / "heatmaps.png")
         print(f"written: {folder / 'heatmaps.png'}")

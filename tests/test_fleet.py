@@ -14,23 +14,29 @@ import time
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 import yaml
 from browser import look_at
 from cli_support import files_in, run
 from fleet_support import KNOWN, SMALL, again, deadly
 
+from gtcal.cli.json_schemas import RESULTS
 from gtcal.errors import GtcalError
 from gtcal.fleet import index
 from gtcal.fleet.batch import plan, run_batch
+from gtcal.fleet.history import histories
 from gtcal.fleet.inputs import gtcal_version
-from gtcal.fleet.jobs import Job, JobsError, taken_ns_in, taken_ns_of
+from gtcal.fleet.jobs import Job, JobsError, taken_ns_in, taken_ns_of, utc
 from gtcal.fleet.jobs_file import read_jobs
+from gtcal.fleet.measures import Measure
 from gtcal.fleet.rebuild import catch_up, rebuild
-from gtcal.fleet.record import RECORD, read_record, record_of, record_text
+from gtcal.fleet.record import RECORD, Contents, Record, read_record, record_text
 from gtcal.fleet.run_job import Outcome, Task, run_task
 from gtcal.fleet.simulated import write_fleet
 from gtcal.fleet.store import Store
+from gtcal.fleet.watch import Station
+from gtcal.fleet.watch_page import verdict
 from gtcal.fleet.workers import InThisProcess, dask_workers
 from gtcal.verification.verification import VerificationOptions
 
@@ -157,6 +163,15 @@ def test_jobs_as_csv_and_as_a_folder(fleet: Fleet) -> None:
         taken_ns_in("2026-13-02_board")
 
 
+def test_what_is_printed_for_programs_has_a_schema(fleet: Fleet) -> None:
+    ran = run("batch", fleet.jobs_file, "-o", fleet.store.path, "--dry-run", "--json")
+    RESULTS["batch-plan"].model_validate(json.loads(ran.out))
+    RESULTS["jobs"].model_validate(yaml.safe_load(fleet.jobs_file.read_text()))
+    for name in RESULTS:
+        assert json.loads(run("schema", name).out)["additionalProperties"] is False
+    assert run("schema", "jobs", "--lollypop").code == 1
+
+
 def test_two_jobs_of_one_name(fleet: Fleet) -> None:
     file = fleet.jobs_file.with_name("twice.yaml")
     job = "{rig: a, recording: rig01/2026-03-02_board}"
@@ -216,6 +231,7 @@ def test_a_failure_is_a_record_and_tried_again(fleet: Fleet, tmp_path: Path) -> 
     ran = run("batch", folder, "--taken-from", "name", "-j", 0, "-o", tmp_path / "store", "--json")
     assert ran.code == 1
     document = json.loads(ran.out)
+    RESULTS["batch"].model_validate(document)
     (failed,) = [job for job in document["jobs"] if job["state"] == "failed"]
     assert failed["name"] == "2026-03-03_lollypop"
     assert "device_body.csv" in failed["error"]
@@ -283,7 +299,7 @@ def test_records_come_back_as_they_were(fleet: Fleet) -> None:
     for outcome in fleet.outcomes.values():
         record = outcome.record
         plain = replace(record, inputs=tuple(replace(entry, signature="") for entry in record.inputs))
-        assert record_of(record_text(record)) == plain
+        assert read_record(fleet.store.file_of(record)) == plain
         assert record.command_line == COMMAND
         assert json.loads(outcome.files[record.result_file])["provenance"]["command_line"] == list(COMMAND)
 
@@ -466,11 +482,97 @@ def test_history_is_shown_and_written(fleet: Fleet, tmp_path: Path, monkeypatch:
     assert run("history", "-s", store, "--to", "csv").code in (0, 4)
     assert len(pandas.read_csv(tmp_path / "history.csv")) == 2 * len(frame)
     document = json.loads(run("history", "rig02", "-s", store, "--json").out)
-    assert document["gtcal_history"] == 1
+    RESULTS["history"].model_validate(document)
     assert [rig["rig"] for rig in document["rigs"]] == ["rig02"]
     ran = run("history", "rig99", "-s", store)
     assert (ran.code, ran.err.count("\n")) == (1, 1)
     assert "rigs: rig01, rig02" in ran.err
+
+
+def test_the_station_shows_each_verdict(fleet: Fleet, copied: Store, tmp_path: Path) -> None:
+    folder = tmp_path / "arriving"
+    source = fleet.jobs_file.parent / "rig01" / "2026-03-05_lollypop"
+    (folder / "rig01").mkdir(parents=True)
+    station = Station(folder, copied, VerificationOptions(), COMMAND, taken_from="name", settle_s=0.1)
+    arriving = folder / "rig01" / "2026-03-06_new"
+    arriving.mkdir()
+    for file in sorted(source.iterdir(), key=lambda path: path.name == "recording.yaml"):
+        assert not list(station.completed())  # no manifest yet
+        shutil.copy(file, arriving)
+    assert not list(station.completed())
+    assert station.waits
+    time.sleep(0.12)
+    ((manifest, idle_s),) = station.completed()
+    seen = station.verify(manifest, idle_s)
+    assert seen is not None
+    assert seen.record.identity == ("rig01", "verify", "2026-03-06_new")
+    assert seen.record.verdict == fleet.outcomes["rig01", "verify", "2026-03-05_lollypop"].record.verdict
+    assert not list(station.completed())
+    assert not station.waits
+    assert agrees(copied)
+    (arriving / "device_body.csv").write_text("<b>nonsense\n")
+    ran = run("watch", folder, "-s", copied.path, "--once", "--settle-s", 0.1, "--taken-from", "name")
+    assert ran.code == 1
+    line = json.loads(ran.out)
+    RESULTS["watch"].model_validate(line)
+    assert line["verdict"] is None
+    assert "device_body.csv" in line["error"]
+    page = (copied.path / "watch.html").read_text()
+    assert "no verdict" in page
+    assert "<b>" not in page
+    passed = verdict(replace(seen, record=replace(seen.record, verdict="pass")))
+    assert (passed.word, passed.remarks) == ("pass", ())
+
+
+def test_the_rigs_that_changed_are_named_and_no_other(tmp_path: Path) -> None:
+    """As the demo's: five rigs over eight weeks, of which one drifts, one is bumped and one has a lens that warms."""
+    random, store = np.random.default_rng(0), Store.made(tmp_path / "store")
+    days = np.array([day for day in range(56) if day % 7 in (1, 3, 5)], dtype=float)
+    drift = {("rig02", "bias_x_px"): 0.008 * np.maximum(days - 14.0, 0.0)}
+    bump = {("rig04", "bias_y_px"): 0.9 * (days > 38.0)}
+    warmth = {("rig05", "bias_radial_px"): 0.02 * np.clip(days - 21.0, 0.0, 28.0)}
+    harms = drift | bump | warmth
+    quantities = ("bias_x_px", "bias_y_px", "bias_radial_px", "bias_tangential_px")
+    with index.opened_index(store.index_path) as connection:
+        for rig in (f"rig{number:02d}" for number in range(1, 6)):
+            for place, day in enumerate(days):
+                values = {
+                    (camera, q): 0.03 * random.normal() + (harms.get((rig, q), 0.0 * days)[place] if c == 0 else 0.0)
+                    for c, camera in enumerate("abcd")
+                    for q in quantities
+                }
+                measures = [Measure(camera, q, value, 0.02) for (camera, q), value in values.items()]
+                for camera in "abcd":
+                    square = sum(values[camera, q] ** 2 for q in quantities[:3])
+                    measures.append(Measure(camera, "rmse_px", float(np.sqrt(0.16**2 + square)), 0.01))
+                index.insert(connection, record_on(rig, day), Contents(tuple(measures)))
+    found = histories(store)
+    named = {rig: [(f.camera, f.what) for f in one.findings] for rig, one in found.items() if one.findings}
+    assert named == {
+        "rig02": [("a", "bias")],
+        "rig04": [("a", "bias")],
+        "rig05": [("a", "radial bias")],
+    }
+    drifts, bumped, warms = (found[rig].findings[0] for rig in named)
+    assert drifts.sentence("rig02").startswith("a of rig02 drifts: its bias by 0.0")
+    assert drifts.change is not None
+    assert drifts.left is not None
+    assert drifts.change.rate == pytest.approx(0.008, abs=4.0 * drifts.change.rate_sigma)
+    true_days = (np.sqrt(0.5**2 - 0.16**2) / 0.008 + 14.0) - days[-1]
+    assert drifts.left.low < true_days < drifts.left.high
+    assert "at once, before 11 Apr 2026" in bumped.sentence("rig04")
+    assert "leaves the tolerance of 0.5 px RMSE now" in warms.sentence("rig05")
+    assert [one.status for one in found.values()] == ["holds", "changed", "holds", "changed", "changed"]
+
+
+def record_on(rig: str, day: float) -> Record:
+    taken_ns = taken_ns_of("2026-03-02T08:30") + round(day * 86400e9)
+    texts = {"key": f"{rig}{day}", "error": "", "verdict": "pass", "calibration_sha256": "", "result_sha256": ""}
+    made = {"created_utc": f"{utc(taken_ns)}", "duration_s": 1.0, "versions": {}, "command_line": COMMAND, "inputs": ()}
+    name = f"{utc(taken_ns):%Y-%m-%d}"
+    return Record(
+        rig=rig, kind="verify", name=name, state="done", taken_ns=taken_ns, accept=False, options={}, **texts, **made
+    )  # type: ignore[arg-type]
 
 
 def test_accepting_a_calibration_begins_anew(fleet: Fleet, copied: Store) -> None:

@@ -40,7 +40,7 @@ COMMANDS = {
     "convert": "read camera files or trajectories of one tool and write them for another",
     "detect": "find the board in a recording's images, and keep the corners",
     "simulate": "simulate a recording with known ground truth",
-    "schema": "print the JSON schema of a recording's manifest",
+    "schema": "print the JSON schema of a recording's manifest, or of what commands for fleets read and print",
     "completion": "print the script that makes bash, zsh or fish complete gtcal's commands and options",
 }
 """Every command, a function of this name in the module of this name, and what it does."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sqlite3
 from collections import deque
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache, partial
 from pathlib import Path
 
@@ -43,7 +43,8 @@ class Batch:
     """What came of a batch.
 
     ended: the record of each job that was run, in the order in which they ended. unchanged: the plans of those that did
-    not have to be. not_run: those that were still to be run when it was stopped."""
+    not have to be. Records are without their inputs and options. not_run: those that were still to be run when it was
+    stopped."""
 
     ended: list[Record] = field(default_factory=list)
     unchanged: list[Plan] = field(default_factory=list)
@@ -164,6 +165,7 @@ def plan(store: Store | None, jobs: Sequence[Job]) -> list[Plan]:
         return [Plan(job, True, "new") for job in jobs]
     order = _Order.of(jobs)
     with index.opened_index(store.index_path) as connection:
+        connection.execute("PRAGMA query_only = ON")  # a batch may be writing to it
         accepted = cache(partial(accepted_of, store, connection))
         first = {job.identity: plan_of(connection, job, accepted) for job in order.ready}
         to_come = {rig for (rig, kind, _), made in first.items() if made.run and kind == "calibrate"}
@@ -243,7 +245,7 @@ class _Run:
             job = self._queue.popleft()
             made = plan_of(self._connection, job, self._accepted_of)
             if not made.run:
-                self._batch.unchanged.append(made)
+                self._skip(made)
                 self._settle(job)
                 continue
             task = Task(
@@ -259,12 +261,15 @@ class _Run:
     def _keep(self, task: Task, outcome: Outcome) -> None:
         if outcome.unchanged:
             done = index.current_of(self._connection, task.job.identity)
-            self._batch.unchanged.append(Plan(task.job, False, "done before, of the same contents", done))
+            self._skip(Plan(task.job, False, "done before, of the same contents", done))
             return
         self._store.put(outcome)
         index.insert(self._connection, outcome.record, outcome.contents if not outcome.record.error else Contents())
-        self._batch.ended.append(outcome.record)
+        self._batch.ended.append(_slim(outcome.record))
         self._ended(outcome.record)
+
+    def _skip(self, made: Plan) -> None:
+        self._batch.unchanged.append(replace(made, done=None if made.done is None else _slim(made.done)))
 
     def _settle(self, job: Job) -> None:
         """A job is done with; after a rig's last calibration, its verifications can be planned."""
@@ -274,6 +279,11 @@ class _Run:
             self._to_calibrate[job.rig] -= 1
             if self._to_calibrate[job.rig] == 0:
                 self._queue.extend(self._waiting.pop(job.rig))
+
+
+def _slim(record: Record) -> Record:
+    """Without what takes room and is in the index: a batch of many jobs keeps one for each."""
+    return replace(record, inputs=(), options={}, versions={}, command_line=())
 
 
 def exit_code(batch: Batch) -> int:

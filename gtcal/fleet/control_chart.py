@@ -18,7 +18,7 @@ from functools import cache
 
 import numpy as np
 from scipy.optimize import brentq
-from scipy.special import ndtr, ndtri, stdtr
+from scipy.special import ndtri, stdtr
 
 from gtcal.camera import FloatArray
 
@@ -31,6 +31,7 @@ FEWEST = 5
 _NODES = 64
 _MOST_AUTOCORRELATION = 0.9
 _LARGEST_SCORE = 8.0
+_NORMAL = 3.0
 
 
 @dataclass(frozen=True)
@@ -63,14 +64,16 @@ def freed(values: FloatArray, autocorrelation: float) -> FloatArray:
 
 def self_starting_scores(values: FloatArray) -> FloatArray:
     """(N,) of values (N,): how far each is from those before it, as a standard normal number; 0 for the first two, and
-    where those before are all alike."""
-    scores = np.zeros(len(values))
-    for n in range(2, len(values)):
-        before = values[:n]
-        scatter = float(before.std(ddof=1))
+    where those before are all alike. What was beyond 3 is no longer held up as what is normal: else a bump would hide
+    itself."""
+    scores, normal = np.zeros(len(values)), list(values[:2])
+    for place in range(2, len(values)):
+        n, scatter = len(normal), float(np.std(normal, ddof=1))
         if scatter > 0.0:
-            t = math.sqrt(n / (n + 1)) * (values[n] - before.mean()) / scatter
-            scores[n] = _normal(float(t), n - 1)
+            t = math.sqrt(n / (n + 1)) * (values[place] - np.mean(normal)) / scatter
+            scores[place] = _normal(float(t), n - 1)
+        if abs(scores[place]) <= _NORMAL:
+            normal.append(values[place])
     return scores
 
 
@@ -123,8 +126,3 @@ def _lag_1(values: FloatArray) -> float:
     total = float(about_line @ about_line)
     lag = float(about_line[1:] @ about_line[:-1]) / total if total > 0.0 else 0.0
     return lag + (2.0 + 4.0 * lag) / n  # of a line that is taken away; 1 + 3 lag of a mean
-
-
-def chance(z: float) -> float:
-    """Of a standard normal number as far out, either way."""
-    return float(2.0 * ndtr(-abs(z)))

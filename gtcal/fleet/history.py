@@ -219,10 +219,12 @@ class History:
 
     def frame(self) -> pandas.DataFrame:
         """All measures: a row per recording, camera and quantity."""
-        return _frame([self])
+        return frame_of([self])
 
 
-def _frame(histories: Sequence[History]) -> pandas.DataFrame:
+def frame_of(histories: Sequence[History]) -> pandas.DataFrame:
+    """All measures of several rigs: a row per rig, recording, camera and quantity, with its provenance. Raises
+    GtcalError where pandas isn't installed."""
     try:
         import pandas
     except ImportError:
@@ -247,12 +249,6 @@ def _frame(histories: Sequence[History]) -> pandas.DataFrame:
         for (camera, quantity), (value, sigma) in event.measures.items()
     ]
     return pandas.DataFrame(rows, columns=COLUMNS)
-
-
-def frame_of(histories: Sequence[History]) -> pandas.DataFrame:
-    """All measures of several rigs: a row per rig, recording, camera and quantity, with its provenance. Raises
-    GtcalError where pandas isn't installed."""
-    return _frame(histories)
 
 
 def histories(store: Store, *, run_length: float = RUN_LENGTH) -> dict[str, History]:

@@ -83,7 +83,7 @@ _AS_JSON = ("options", "versions", "command_line")
 
 
 @contextmanager
-def opened_index(path: Path, *, new: bool = False, read_only: bool = False) -> Iterator[sqlite3.Connection]:
+def opened_index(path: Path, *, new: bool = False) -> Iterator[sqlite3.Connection]:
     """The index in a file, made or brought up to date where it has to be. ``new``: what is there goes.
 
     Raises GtcalError where it is of a newer gtcal, or no index."""
@@ -94,9 +94,8 @@ def opened_index(path: Path, *, new: bool = False, read_only: bool = False) -> I
         connection = sqlite3.connect(path, isolation_level=None)
         try:
             connection.execute("PRAGMA foreign_keys = ON")
-            if not read_only:
-                connection.execute("PRAGMA journal_mode = WAL")
-                connection.execute("PRAGMA synchronous = NORMAL")
+            connection.execute("PRAGMA journal_mode = WAL")
+            connection.execute("PRAGMA synchronous = NORMAL")
             _migrate(connection, path)
             yield connection
         finally:
@@ -199,7 +198,10 @@ def current_of(connection: sqlite3.Connection, identity: tuple[str, str, str]) -
 
 
 def renew_signatures(connection: sqlite3.Connection, record: Record, inputs: Iterable[Input]) -> None:
-    """Keep the signatures of inputs that were touched, and hold what they held."""
+    """Keep the signatures of inputs that were touched, and hold what they held; nothing where the index is only looked
+    at."""
+    if connection.execute("PRAGMA query_only").fetchone() == (1,):
+        return
     rows = [(entry.signature, *record.identity, record.key, entry.path) for entry in inputs]
     connection.executemany(
         "UPDATE input SET signature = ? WHERE job IN "

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from scipy.special import ndtri
 
 from gtcal.camera import FloatArray
 from gtcal.results.calibration import Calibration, PoseEstimate
@@ -55,8 +56,6 @@ def _pooled(found: Verification) -> tuple[ErrorStatistics, ErrorStatistics]:
 
 def _sigmas_at(confidence: float) -> tuple[float, float]:
     """How many sigmas a one-sided and a two-sided bound are away."""
-    from scipy.special import ndtri
-
     return float(ndtri(confidence)), float(ndtri(0.5 + 0.5 * confidence))
 
 

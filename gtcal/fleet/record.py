@@ -8,7 +8,6 @@ from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any, Literal
 
-from gtcal.documents import check_extent
 from gtcal.errors import GtcalError
 from gtcal.fleet.jobs import KINDS, RESULT_FILES, JobKind
 from gtcal.fleet.measures import (
@@ -131,13 +130,6 @@ def record_text(record: Record) -> str:
 def read_record(path: Path) -> Record:
     """Read what ``record_text`` gives. Raises GtcalError where the file is missing, damaged or of a newer gtcal."""
     return read_result(path, "record", SCHEMA_VERSION, _record)
-
-
-def record_of(text: str) -> Record:
-    """From the text of a record."""
-    document = json.loads(text)
-    check_extent(Path(RECORD), document)
-    return _record(document)
 
 
 def _record(document: dict[str, Any]) -> Record:

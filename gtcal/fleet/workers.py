@@ -147,7 +147,7 @@ def dask_workers(
             n_workers=jobs or n_cores(),
             threads_per_worker=1,
             processes=True,
-            dashboard_address=None,
+            dashboard_address="127.0.0.1:0",  # any that is free: other batches may run here
             silence_logs=logging.CRITICAL,
         )
         with cluster, Client(cluster) as client:
