@@ -8,13 +8,13 @@ import logging
 import re
 from concurrent.futures import as_completed
 from functools import lru_cache
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 
-import gtcal.board
 from gtcal.board import Board
 from gtcal.camera import Camera
 from gtcal.cores import all_cores
@@ -30,8 +30,19 @@ from gtcal.verification.lollypop import Lollypop
 from gtcal.verification.lollypop_detection import see_lollypop
 
 CACHE_FOLDER = ".gtcal"
-# What decides, beside gtcal.board, what is found: a cache made by another version of one of these isn't taken.
-_DETECTOR = ("lens_guess", "local_warp", "refinement", "sight", "tags", "view_detection")
+# What decides what is found: a cache made by another version of one of these isn't taken.
+DETECTOR = (
+    "factors.camera_models",
+    "gtcal.board",
+    "gtcal.camera",
+    *(
+        f"gtcal.detection.{name}"
+        for name in ("lens_guess", "local_warp", "refinement", "sight", "tags", "view_detection")
+    ),
+    "gtcal.recordings.images",
+    "gtcal.verification.lollypop",
+    "gtcal.verification.lollypop_detection",
+)
 
 _log = logging.getLogger("gtcal")
 
@@ -182,8 +193,7 @@ def _cache_key(images: Images, board: Board | Lollypop, camera: Camera | None) -
 
 @lru_cache(maxsize=1)
 def _detector_version() -> str:
-    modules = [Path(__file__).with_name(f"{module}.py") for module in _DETECTOR]
-    sources = (path.read_bytes() for path in (*modules, Path(gtcal.board.__file__)))
+    sources = (Path(str(import_module(name).__file__)).read_bytes() for name in DETECTOR)
     return hashlib.sha256(b"\0".join(sources)).hexdigest()
 
 
