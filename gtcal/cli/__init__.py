@@ -107,7 +107,7 @@ def _words_beside_data(arguments: Sequence[str]) -> AbstractContextManager[objec
     from gtcal.files import is_standard_output
 
     values = [argument.partition("=")[2] if argument.startswith("--") else argument for argument in arguments]
-    to_stdout = any(value and is_standard_output(Path(value)) for value in values)
+    to_stdout = any(value not in ("", os.devnull) and is_standard_output(Path(value)) for value in values)
     return redirect_stdout(sys.stderr) if to_stdout else nullcontext()
 
 
