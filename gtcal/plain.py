@@ -7,6 +7,7 @@ import re
 
 _ACTING = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u2028\u2029\ud800-\udfff]")  # all control characters but \t and \n
 _NO_XML = re.compile(rb"[\x00-\x08\x0b\x0c\x0e-\x1f]")
+_SEPARATES_CELLS = re.compile(r"[,;|\s\"]")
 _RUN_BY_SPREADSHEETS = ("=", "+", "-", "@", "\t", "\r")
 
 
@@ -27,8 +28,10 @@ def xml_text(content: bytes) -> bytes:
 
 
 def csv_cell(text: str) -> str:
-    """A text that no spreadsheet takes for a formula."""
-    return f"'{text}" if text.startswith(_RUN_BY_SPREADSHEETS) else text
+    """A cell of a CSV that no spreadsheet takes for a formula, nor for several cells, be its separator a comma, a
+    semicolon or a tab."""
+    shown = f"'{text}" if text.lstrip().startswith(_RUN_BY_SPREADSHEETS) else text
+    return '"' + shown.replace('"', '""') + '"' if _SEPARATES_CELLS.search(shown) else shown
 
 
 class OneLine(logging.Formatter):

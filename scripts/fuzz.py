@@ -25,6 +25,7 @@ from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated
 
@@ -33,8 +34,10 @@ import numpy as np
 import tyro
 
 sys.path.append(str(Path(__file__).parents[1] / "tests"))
+from media_support import compressed_message, image_message, write_bag, write_video
 from mocap_files import CUBE_M, from_zero, markers_of, write_motive, write_qualisys, write_trc, write_vicon
-from support import wandering_trajectory
+from support import EPOCH_NS, wandering_trajectory
+from vrs_support import image_stream, write_vrs
 
 from gtcal.board import load_board
 from gtcal.camera_files.calibration_rig import calibration_rig
@@ -44,10 +47,15 @@ from gtcal.detection.detect import _read_cache, _write_cache
 from gtcal.errors import GtcalError
 from gtcal.estimation.priors_file import read_priors
 from gtcal.readers import TRAJECTORY_READERS, BodySelection, inspect_mocap, write_euroc_csv, write_tum
+from gtcal.readers.mocap_exports import write_rosbag
 from gtcal.readers.poses import PoseConventions
-from gtcal.recordings.images import image_folder, image_list, read_grey
+from gtcal.readers.rosbag import read_rosbag_takes
+from gtcal.recordings.bag_images import bag_images
+from gtcal.recordings.images import Images, image_folder, image_list, read_grey
 from gtcal.recordings.manifest import named_files
 from gtcal.recordings.recording import load_recording
+from gtcal.recordings.video_images import video_images
+from gtcal.recordings.vrs_images import vrs_images
 from gtcal.results.calibration_file import read_calibration, write_calibration
 from gtcal.simulation import SimulationOptions, quest3_like_rig, simulate, write_simulation
 from gtcal.simulation.ground_truth import read_ground_truth
@@ -58,7 +66,7 @@ from gtcal.verification.workflow import verify
 
 SLOW_S, LARGE_BYTES = 2.0, 2**30
 _HANGS_S = 30
-_CHUNK = 250
+_CHUNK = 2_000
 
 
 @dataclass(frozen=True)
@@ -85,26 +93,35 @@ class _HangsError(BaseException):
 
 
 def main(
-    inputs: int = 20_000, seed: int = 0, only: Annotated[int | None, tyro.conf.arg(help="This input alone.")] = None
+    inputs: int = 20_000,
+    seed: int = 0,
+    only: Annotated[int | None, tyro.conf.arg(help="This input alone.")] = None,
+    of: Annotated[str, tyro.conf.arg(help="Of the targets, those alone in whose names this is.")] = "",
+    minutes: Annotated[float, tyro.conf.arg(help="Begin no more inputs after so long.")] = np.inf,
 ) -> int:
     """Spoil so many files, and say what was wrong. Exits with 1 where something was."""
     numbers = range(inputs) if only is None else range(only, only + 1)
     started = time.perf_counter()
-    failed, most_s, most_bytes = run(numbers, seed, workers=1 if only is not None else n_cores())
+    workers = 1 if only is not None else n_cores()
+    failed, done, most_s, most_bytes = run(numbers, seed, workers=workers, of=of, seconds=60.0 * minutes)
     for (target, kind, what), count in Counter((f.target, f.kind, f.what) for f in failed).most_common():
         first = next(f.number for f in failed if (f.target, f.kind, f.what) == (target, kind, what))
         print(f"{count:6} x {target}: {kind}: {what} (the first: --only {first})")
     kinds = Counter(f.kind for f in failed)
     print(
-        f"{len(numbers)} inputs of seed {seed} in {time.perf_counter() - started:.0f} s: {kinds['uncaught']} uncaught, "
+        f"{done:,} inputs of seed {seed} in {time.perf_counter() - started:.0f} s: {kinds['uncaught']} uncaught, "
         f"{kinds['slow']} over {SLOW_S:g} s (longest {most_s:.2f} s), {kinds['large']} over 1 GiB (most "
         f"{most_bytes / 2**20:.0f} MiB), {kinds['crash']} crashes"
     )
     return 1 if failed else 0
 
 
-def run(numbers: range, seed: int, *, workers: int) -> tuple[list[Failed], float, int]:
-    """What failed, the longest time of one input, and the most memory that a process took on."""
+def run(
+    numbers: range, seed: int, *, workers: int, of: str = "", seconds: float = np.inf
+) -> tuple[list[Failed], int, float, int]:
+    """What failed, how many inputs were read, the longest time of one, and the most memory that a process took on.
+    After so many seconds no more are begun."""
+    started, done = time.perf_counter(), 0
     chunks = [numbers[i : i + _CHUNK] for i in range(0, len(numbers), _CHUNK)]
     failed: list[Failed] = []
     most_s, most_bytes = 0.0, 0
@@ -114,10 +131,12 @@ def run(numbers: range, seed: int, *, workers: int) -> tuple[list[Failed], float
         context = multiprocessing.get_context("spawn")
         waiting, running = list(enumerate(chunks)), []
         while waiting or running:
+            if time.perf_counter() - started > seconds:
+                waiting.clear()
             while waiting and len(running) < workers:
                 place, chunk = waiting.pop(0)
                 ours, theirs = context.Pipe(duplex=False)
-                process = context.Process(target=_run_chunk, args=(base / str(place), chunk, seed, theirs))
+                process = context.Process(target=_run_chunk, args=(base / str(place), chunk, seed, of, theirs))
                 process.start()
                 theirs.close()
                 running.append((process, ours, chunk))
@@ -127,7 +146,7 @@ def run(numbers: range, seed: int, *, workers: int) -> tuple[list[Failed], float
                 while True:
                     message = pipe.recv()
                     if isinstance(message, int):
-                        at = message
+                        at, done = message, done + 1
                     elif isinstance(message, Failed):
                         failed.append(message)
                     else:
@@ -141,16 +160,16 @@ def run(numbers: range, seed: int, *, workers: int) -> tuple[list[Failed], float
                 rest = range(at + 1, chunk[-1] + 1)
                 if len(rest):
                     waiting.append((len(chunks) + len(failed), rest))
-    return failed, most_s, most_bytes
+    return failed, done, most_s, most_bytes
 
 
-def _run_chunk(folder: Path, numbers: range, seed: int, pipe: multiprocessing.connection.Connection) -> None:
+def _run_chunk(folder: Path, numbers: range, seed: int, of: str, pipe: multiprocessing.connection.Connection) -> None:
     """Spoil and read these inputs. Through the pipe go the number before each, what failed, and time and memory."""
     logging.disable()
     warnings.simplefilter("ignore")
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
     folder.mkdir()
-    targets = good_files(folder)
+    targets = [target for target in good_files(folder) if of in target.name]
     for target in targets:
         target.read()  # as it is, it can be read
     os.dup2(os.open(os.devnull, os.O_WRONLY), 2)  # libraries of images say there what they think of them
@@ -289,7 +308,8 @@ _WAYS = (_word, _word, _word, _inserted, _flipped, _number, _cut, _removed, _rep
 
 def good_files(folder: Path) -> list[Target]:
     """Files of all kinds written into a folder, and their readers."""
-    return [*_recordings(folder), *_results(folder), *_camera_files(folder), *_mocap_files(folder), *_images(folder)]
+    texts = [*_recordings(folder), *_results(folder), *_camera_files(folder), *_mocap_files(folder)]
+    return [*texts, *_images(folder), *_bags(folder), *_videos(folder), *_vrs(folder)]
 
 
 def _simulation():
@@ -402,6 +422,67 @@ def _images(folder: Path) -> list[Target]:
         Target("image list", listing, partial(image_list, listing, folder / "images")),
         Target("image folder", folder / "images" / names[0], partial(image_folder, folder / "images")),
     ]
+
+
+def _read_all(images: Images) -> None:
+    for index in range(len(images)):
+        images.read(index)
+
+
+def _bags(folder: Path) -> list[Target]:
+    """Bags of images and of poses, as ROS 1, SQLite and MCAP hold them; none where rosbags is missing."""
+    if find_spec("rosbags") is None:
+        return []
+    image = np.random.default_rng(1).integers(0, 255, (12, 16), dtype=np.uint8)
+    _, png = cv2.imencode(".png", image)
+    rows = [(EPOCH_NS + 10**8 * i, EPOCH_NS + 10**8 * i, image_message(image)) for i in range(3)]
+    packed = [(received, header, compressed_message(png.tobytes())) for received, header, _ in rows]
+    targets = []
+    for storage, name in (("ros1", "images.bag"), ("sqlite3", "images_sqlite"), ("mcap", "images_mcap")):
+        path = write_bag(folder / name, {"/raw": rows, "/packed": packed}, storage=storage)
+        for file in sorted(path.iterdir()) if path.is_dir() else [path]:
+            for topic in ("/raw", "/packed"):
+                read = partial(_bag_read, path, topic)
+                targets.append(Target(f"bag {storage} {file.suffix} {topic}", file, read))
+    poses = {"platform": wandering_trajectory("platform", n=20)}
+    write_rosbag(folder, poses)
+    for file in sorted((folder / "take").iterdir()):
+        targets.append(Target(f"bag of poses {file.suffix}", file, partial(read_rosbag_takes, folder / "take")))
+    return targets
+
+
+def _bag_read(path: Path, topic: str) -> None:
+    _read_all(bag_images(path, topic))
+
+
+def _videos(folder: Path) -> list[Target]:
+    """Videos in two containers; none where PyAV is missing."""
+    if find_spec("av") is None:
+        return []
+    image = np.random.default_rng(1).integers(0, 255, (48, 64), dtype=np.uint8)
+    targets = []
+    for name, codec, pixels in (("ffv1.mkv", "ffv1", "gray"), ("h264.mp4", "libx264", "yuv420p")):
+        path = write_video(folder / name, [image] * 4, [0, 40, 80, 120], codec=codec, pixel_format=pixels)
+        targets.append(Target(f"video {name}", path, partial(_video_read, path)))
+    return targets
+
+
+def _video_read(path: Path) -> None:
+    _read_all(video_images(path, 0))
+
+
+def _vrs(folder: Path) -> list[Target]:
+    """A VRS file; none where its reader is missing."""
+    if find_spec("pyvrs") is None:
+        return []
+    image = np.random.default_rng(1).integers(0, 255, (12, 16), dtype=np.uint8)
+    stamps_ns = [EPOCH_NS + 10**8 * i for i in range(4)]
+    path = write_vrs(folder / "glasses.vrs", [image_stream([image] * 4, [0.1, 0.2, 0.3, 0.4], stamps_ns)])
+    return [Target("vrs", path, partial(_vrs_read, path))]
+
+
+def _vrs_read(path: Path) -> None:
+    _read_all(vrs_images(path, "1201-1"))
 
 
 if __name__ == "__main__":

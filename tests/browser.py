@@ -106,11 +106,25 @@ def _source(script: str) -> str:
     return f"sha256-{base64.b64encode(hashlib.sha256(content.encode()).digest()).decode()}"
 
 
+def _chromium() -> str:
+    """The test is skipped where there is none."""
+    found = next(filter(None, map(shutil.which, _NAMES)), None)
+    if found is None:
+        pytest.skip(f"no Chromium is installed (none of {', '.join(_NAMES)} is on the path)")
+    return found
+
+
+def n_pages_on_paper(page: Path, tmp_path: Path) -> int:
+    """How many pages of paper it takes. The test is skipped where there is no Chromium."""
+    target = tmp_path / "paper.pdf"
+    flags = (*_FLAGS, f"--user-data-dir={tmp_path / 'profile'}", f"--print-to-pdf={target}")
+    subprocess.run([_chromium(), *flags, page.as_uri()], capture_output=True, timeout=120, check=True)
+    return len(re.findall(rb"/Type /Page\b(?!s)", target.read_bytes()))
+
+
 def look_at(page: Path, tmp_path: Path, *, width_px: int) -> Seen:
     """Open a page in a window of this width. The test is skipped where there is no Chromium."""
-    chromium = next(filter(None, map(shutil.which, _NAMES)), None)
-    if chromium is None:
-        pytest.skip(f"no Chromium is installed (none of {', '.join(_NAMES)} is on the path)")
+    chromium = _chromium()
     text = page.read_text(encoding="utf-8")
     # the page's own policy stays, and lets what is put in act too
     probed = text.replace("script-src ", f"script-src '{_source(_PROBE)}' ", 1)

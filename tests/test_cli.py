@@ -277,6 +277,15 @@ def test_every_intrinsic_that_was_found_is_shown_with_its_sigma(folder: Path, tm
             assert f"{value:.{digits}f} ± {sigma:.{digits}f}" in shown
 
 
+def test_what_the_machine_refuses_is_a_line(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(path: Path) -> None:
+        raise PermissionError(13, "Permission denied", str(path))
+
+    monkeypatch.setattr("gtcal.recordings.recording.load_recording", refuse)
+    ran = run("calibrate", folder)
+    assert (ran.code, ran.err) == (1, f"gtcal: {folder}: Permission denied\n")
+
+
 def test_schema_is_json_on_the_screen_and_in_a_file(tmp_path: Path) -> None:
     shown = run("schema")
     assert shown.code == 0

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import ast
+import importlib
 import logging
 import os
 from collections.abc import Callable
@@ -16,7 +18,7 @@ from detection_support import FISHEYE, PINHOLE, SHARP, Filmer, View
 import gtcal.detection.detect
 from gtcal.board import PAPER_A2, AprilGrid, ArucoGrid, Board, CharucoBoard
 from gtcal.camera import Camera
-from gtcal.detection.detect import cached_detect, detect, detect_view
+from gtcal.detection.detect import DETECTOR, cached_detect, detect, detect_view
 from gtcal.errors import GtcalError
 from gtcal.recordings.detections import CameraDetections
 from gtcal.recordings.images import GreyImage, ImageSequence, image_folder, image_list
@@ -495,3 +497,16 @@ def calibration_rms_px(views: list[tuple[np.ndarray, np.ndarray]]) -> float:
     board_m = [APRIL.corners_m[ids].astype(np.float32)[:, None] for ids, _ in views]
     pixels = [px.astype(np.float32)[:, None] for _, px in views]
     return float(cv2.calibrateCamera(board_m, pixels, (640, 480), None, None)[0])  # type: ignore[call-overload]
+
+
+def test_a_cache_of_another_version_of_any_part_of_the_detector_is_not_taken() -> None:
+    """What decides the corners: all that the two ways of seeing import from where such things lie."""
+    within = ("gtcal.detection.", "gtcal.verification.lollypop", "gtcal.board", "gtcal.camera", "factors.camera_models")
+    wanted, found = ["gtcal.detection.view_detection", "gtcal.verification.lollypop_detection"], set()
+    while wanted:
+        name = wanted.pop()
+        found.add(name)
+        tree = ast.parse(Path(importlib.import_module(name).__file__).read_text())
+        imported = {node.module for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)}
+        wanted += [one for one in imported if one.startswith(within) and one not in found]
+    assert found <= set(DETECTOR)

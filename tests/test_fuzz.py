@@ -13,8 +13,9 @@ from gtcal.errors import GtcalError
 
 @pytest.mark.long
 def test_no_spoilt_file_is_more_than_refused() -> None:
-    failed, most_s, _ = fuzz.run(range(400), 12, workers=1)
+    failed, done, most_s, _ = fuzz.run(range(400), 12, workers=1)
     assert failed == []
+    assert done == 400
     assert most_s < fuzz.SLOW_S
 
 

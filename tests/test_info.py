@@ -94,7 +94,7 @@ def test_poor_turns_and_bare_regions_are_remarked(small_recording: Recording) ->
     )
     remarks = summarise(recording).remarks
     assert any("hardly turned (0.0 deg rms)" in line for line in remarks)
-    assert "left: the right half has no corners" in remarks
+    assert "left: no detections in the right half of the image" in remarks
 
 
 @pytest.fixture(scope="module")

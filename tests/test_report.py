@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import base64
+import hashlib
 import re
 import subprocess
 import sys
@@ -10,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from browser import look_at
+from browser import look_at, n_pages_on_paper
 
 import gtcal
 from gtcal.board import AprilGrid
@@ -20,6 +22,7 @@ from gtcal.recordings.capture import Capture
 from gtcal.recordings.recording import Recording, load_recording
 from gtcal.report import Evidence, gather_evidence, render, write_report
 from gtcal.report.evidence import CameraEvidence
+from gtcal.report.plots import beyond
 from gtcal.report.residual_figures import covered_share
 from gtcal.report.scene import build_scene
 from gtcal.results.calibration import Calibration
@@ -145,10 +148,31 @@ def test_the_page_needs_no_other_file_and_no_network(page: str) -> None:
     assert "url(" not in outside_data
 
 
+def test_on_paper_it_takes_few_pages(page: str, tmp_path: Path) -> None:
+    (tmp_path / "page.html").write_text(page)
+    assert n_pages_on_paper(tmp_path / "page.html", tmp_path) <= 5  # of two cameras; it was a page each and more
+
+
+def test_what_a_histogram_does_not_show_is_said() -> None:
+    values = np.array([0.1, 0.2, -7.0, 3.0])
+    assert beyond(values, -1.0, 1.0, "mm") == " Beyond the axis: 2 of 4, up to -7 mm."
+    assert beyond(values, -10.0, 10.0, "mm") == ""
+
+
+def test_only_the_pages_own_style_and_script_may_act(page: str) -> None:
+    policy = re.search(r'http-equiv="Content-Security-Policy" content="([^"]*)"', page)[1]
+    assert "unsafe" not in policy
+    for element, directive in (("style", "style-src"), ("script", "script-src")):
+        (content,) = re.findall(rf"<{element}>(.*?)</{element}>", page, re.DOTALL)
+        source = base64.b64encode(hashlib.sha256(content.encode()).digest()).decode()
+        assert f"{directive} 'sha256-{source}'" in policy
+    assert not re.search(r"<[^>]*\s(style|on\w+)=", page)  # which no hash allows
+
+
 def test_the_page_says_the_numbers(page: str, calibration: Calibration) -> None:
     for name, camera in calibration.cameras.items():
         assert f"{camera.residuals.rmse_px:.3f}</td>" in page
-        assert f"</span>{name}</a>" in page
+        assert f"</svg>{name}</a>" in page
     for stage in calibration.stages:
         assert stage.name in page
     for entry in calibration.provenance.inputs:

@@ -44,7 +44,18 @@ def test_every_control_character_is_shown_and_none_acts() -> None:
     record = logging.LogRecord("gtcal", logging.WARNING, "", 0, "%s", ("two\nlines\x1b",), None)
     assert OneLine("%(name)s: %(message)s").format(record) == "gtcal: two\\nlines\\x1b"
     ElementTree.fromstring(xml_text(b"<a>" + bytes(range(1, 32)) + b"</a>"))
-    assert [csv_cell(text)[0] for text in ("=1", "+1", "-1", "@a", "a")] == ["'", "'", "'", "'", "a"]
+
+
+FORMULAS = ("=1+1", "+1", "-1", "@a", " =1", "a;=1+1", "a\t=1+1", 'a"=1', "a,=1", ";=1", "a", "caf\u00e9 2")
+
+
+@pytest.mark.parametrize("separator", [",", ";", "\t", "|"])
+def test_no_spreadsheet_runs_a_cell_whatever_separates_its_cells(separator: str) -> None:
+    for text in FORMULAS:
+        (row,) = csv.reader([separator.join(("1", csv_cell(text), "2"))], delimiter=separator)
+        assert [row[0], row[2:]] == ["1", ["2"]]  # in one cell
+        assert row[1] in (text, f"'{text}")
+        assert not row[1].lstrip().startswith(("=", "+", "-", "@"))
 
 
 @pytest.fixture(scope="module")
@@ -112,3 +123,5 @@ def test_no_name_acts(arguments: list[str], ground: Path, tmp_path: Path, monkey
         rows = list(csv.reader(table.open()))
         assert len({len(row) for row in rows}) == 1
         assert not any(cell.startswith("=") for row in rows for cell in row)
+        for line in table.read_text().splitlines():
+            assert not any(cell.startswith("=") for cell in next(csv.reader([line], delimiter=";")))

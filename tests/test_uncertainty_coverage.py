@@ -37,16 +37,22 @@ ALL = (0.0, 0.0, 1.0, 1.0)
     ("boxes", "missing"),
     [
         ([ALL], []),
-        ([(0.0, 0.0, 0.5, 1.0)], ["the right half has no corners"]),
-        ([(0.0, 0.0, 1.0, 0.5)], ["the lower half has no corners"]),
-        ([(0.0, 0.0, 1.0, 0.5), (0.5, 0.5, 1.0, 1.0)], ["the lower left quarter has no corners"]),
-        ([(0.0, 0.0, 0.5, 0.5)], ["the lower half has no corners", "the right half has no corners"]),
-        ([(0.2, 0.0, 1.0, 1.0)], ["the left border has no corners"]),
-        ([(0.0, 0.2, 0.8, 1.0)], ["the upper border has no corners", "the right border has no corners"]),
-        ([(0.2, 0.0, 1.0, 1.0), (0.0, 0.2, 0.2, 1.0)], ["the upper left corner has no corners"]),
+        ([(0.0, 0.0, 0.5, 1.0)], ["no detections in the right half of the image"]),
+        ([(0.0, 0.0, 1.0, 0.5)], ["no detections in the lower half of the image"]),
+        ([(0.0, 0.0, 1.0, 0.5), (0.5, 0.5, 1.0, 1.0)], ["no detections in the lower left quarter of the image"]),
+        (
+            [(0.0, 0.0, 0.5, 0.5)],
+            ["no detections in the lower half of the image", "no detections in the right half of the image"],
+        ),
+        ([(0.2, 0.0, 1.0, 1.0)], ["no detections in the left border of the image"]),
+        (
+            [(0.0, 0.2, 0.8, 1.0)],
+            ["no detections in the upper border of the image", "no detections in the right border of the image"],
+        ),
+        ([(0.2, 0.0, 1.0, 1.0), (0.0, 0.2, 0.2, 1.0)], ["no detections in the upper left corner of the image"]),
         (
             [(0.0, 0.0, 1.0, 0.25), (0.0, 0.75, 1.0, 1.0), (0.0, 0.0, 0.25, 1.0), (0.75, 0.0, 1.0, 1.0)],
-            ["the middle has no corners"],
+            ["no detections in the middle of the image"],
         ),
     ],
 )
@@ -56,8 +62,8 @@ def test_what_is_missing_of_an_image_is_named(boxes: list, missing: list[str]) -
 
 def test_a_few_corners_are_hardly_any() -> None:
     few = np.concatenate([corners((0.0, 0.0, 0.5, 1.0)), [[1000.0, 500.0], [800.0, 900.0]]])
-    assert image_coverage(NARROW, few).missing == ("the right half has hardly any corners",)
-    assert image_coverage(NARROW, np.empty((0, 2))).missing == ("the image has no corners",)
+    assert image_coverage(NARROW, few).missing == ("hardly any detections in the right half of the image",)
+    assert image_coverage(NARROW, np.empty((0, 2))).missing == ("no detections in the image",)
 
 
 def test_the_share_is_of_what_the_lens_can_see() -> None:

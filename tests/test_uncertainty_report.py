@@ -33,7 +33,7 @@ def test_the_page_tells_of_every_covariance_and_of_what_is_weak(found: Calibrati
     assert part.directions
     assert [picture.title for picture in part.pictures] == ["side_left: at 1 m", "Over the capture volume"]
     page = render(found)
-    for words in ("How sure it is", "Stage 4 was taken: hold-out", "Least sure", "estimated from the recording"):
+    for words in (">Uncertainty<", "Stage 4 was taken: hold-out", "Weakest directions", "estimated from the recording"):
         assert words in page
     assert str(escape(part.directions[0].sentence)) in page
 
@@ -41,7 +41,7 @@ def test_the_page_tells_of_every_covariance_and_of_what_is_weak(found: Calibrati
 def test_without_a_covariance_there_is_no_such_part(found: Calibration) -> None:
     bare = replace(found, covariances={}, mocap_noise=None)
     assert uncertainty_part(bare, None, cameras=[]) is None
-    assert "How sure it is" not in render(bare)
+    assert ">Uncertainty<" not in render(bare)
     assert "not modelled" in noise_lines(None)[0]
 
 
@@ -49,7 +49,7 @@ def test_the_command_prints_and_writes_it(found: Calibration, tmp_path: Path) ->
     write_calibration(tmp_path / "c.json", found)
     ran = run("uncertainty", tmp_path / "c.json", "--distances-m", "0.5", "1", "-o", tmp_path / "u.json")
     assert (ran.code, ran.err) == (0, "")
-    for words in ("errors in", "(taken)", "side_right", "Least sure:", "Mocap noise, estimated"):
+    for words in ("errors in", "(taken)", "side_right", "Weakest directions:", "Mocap noise, estimated"):
         assert words in ran.out
     document = json.loads((tmp_path / "u.json").read_text())
     assert len(document["images"]) == 8

@@ -198,17 +198,22 @@ def with_all_cameras(turn, shift) -> dict:
     [
         (
             lambda: {"board": (STILL, (0, 0, 14)), **with_all_cameras(STILL, (0, 14, 0))},
-            "X: the board's translation along the body's z axis, which all turns share, and the cameras with it",
+            "body_T_board: translation along the body's z axis, which all turns share, and the cameras with it",
             "14 mm",
             "second axis",
         ),
         (
             lambda: {"board": ((3, 0, 0), STILL), **with_all_cameras((0, 0, 3), STILL)},
-            "X: the board's attitude about the body's x axis, and the cameras with it",
+            "body_T_board: attitude about the body's x axis, and the cameras with it",
             "3 deg",
             "two axes or more",
         ),
-        (lambda: {"board": (STILL, (0, 5, 0))}, "X: the board's translation along the body's y axis", "5 mm", "turned"),
+        (
+            lambda: {"board": (STILL, (0, 5, 0))},
+            "body_T_board: translation along the body's y axis",
+            "5 mm",
+            "turned",
+        ),
         (lambda: {"board": ((0, 0.6, 0.8), STILL)}, "about (0.00, 0.60, 0.80) of the body", "1 deg", "turned"),
         (
             lambda: {"cam1": (STILL, along_the_axis("cam1", 9))},
@@ -351,12 +356,12 @@ def test_what_a_degenerate_motion_leaves_open_is_the_boards_translation(kind: st
     found = [one for one in directions_of_graph(graph, values, keys, placed) if one.grade is Grade.OPEN]
     assert len(found) == n_open
     for one in found:
-        assert one.what.startswith("X: the board's translation along ")
+        assert one.what.startswith("body_T_board: translation along ")
         assert one.what.endswith("and the cameras with it")
         assert ("which all turns share" in one.what) == (n_open == 1)
         assert one.size == "open"
         assert np.linalg.norm(one.board.shift_mm) == pytest.approx(UNIT_MM, rel=0.02)
-    with pytest.raises(GtcalError, match=r"do not determine the result: X: the board's translation .*: open; turn "):
+    with pytest.raises(GtcalError, match=r"do not determine the result: body_T_board: translation .*: open; turn "):
         weakness_warnings(tuple(found), allow_degenerate=False)
     if kind == "headset, AprilGrid stands":
         assert "mocap's world" in found[0].what

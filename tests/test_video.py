@@ -216,6 +216,14 @@ def test_several_streams_need_one_named(tmp_path: Path) -> None:
     np.testing.assert_array_equal(video_images(path, 0, "1").read(2), PICTURES[12])
 
 
+def test_tags_that_are_no_text_are_no_hindrance(tmp_path: Path) -> None:
+    path = write_video(tmp_path / "a.mkv", PICTURES[:3], [0, 40, 80])
+    content = path.read_bytes()
+    assert b"Lavf" in content
+    path.write_bytes(content.replace(b"Lavf", b"\xff\x80\xfe\xff"))
+    assert len(video_images(path, 0)) == 3
+
+
 def test_other_files_are_no_videos(tmp_path: Path) -> None:
     (tmp_path / "a.mp4").write_text("hello")
     with pytest.raises(GtcalError, match=r"a\.mp4: is not a video that can be read"):

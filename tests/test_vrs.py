@@ -84,6 +84,17 @@ def test_a_cut_off_file_is_told(share: float, tmp_path: Path) -> None:
         vrs_images(path, "1201-1")
 
 
+def test_what_ends_the_library_does_not_end_this_program(tmp_path: Path) -> None:
+    """An index with a record of a stream that isn't there."""
+    path = file(tmp_path)
+    content = path.read_bytes()
+    path.write_bytes(content[:-2] + (301).to_bytes(2, "little"))
+    with pytest.raises(GtcalError, match="is damaged: VRS's reader does not survive opening it"):
+        vrs_images(path, "1201-1")
+    path.write_bytes(content)
+    assert len(vrs_images(path, "1201-1")) == len(PICTURES)
+
+
 def test_other_files_are_no_vrs(tmp_path: Path, capfd: pytest.CaptureFixture) -> None:
     (tmp_path / "a.vrs").write_text("hello")
     with pytest.raises(GtcalError, match=r"a\.vrs: is not a VRS file that can be read"):

@@ -124,7 +124,7 @@ def _words_beside_data(arguments: Sequence[str]) -> AbstractContextManager[objec
     from gtcal.files import is_standard_output
 
     values = [argument.partition("=")[2] if argument.startswith("--") else argument for argument in arguments]
-    to_stdout = any(value and is_standard_output(Path(value)) for value in values)
+    to_stdout = any(value not in ("", os.devnull) and is_standard_output(Path(value)) for value in values)
     return redirect_stdout(sys.stderr) if to_stdout else nullcontext()
 
 
@@ -167,7 +167,17 @@ def _run(command: str, arguments: list[str]) -> int:
     except BrokenPipeError:  # the reader of our output, 'head' say, has had enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return EXIT_FAILURE
-    except Exception:
-        logging.getLogger("gtcal").exception("this is a bug in gtcal; please report it with what you ran")
+    except OSError as error:  # of the machine, wherever it came up: a folder that is locked, say
+        if error.filename is None or not error.strerror:
+            return _bug()
+        print(f"gtcal: {one_line(f'{error.filename}: {error.strerror}')}", file=sys.stderr)
         return EXIT_FAILURE
+    except Exception:
+        return _bug()
     return code if isinstance(code, int) else 0
+
+
+def _bug() -> int:
+    """Of what nobody thought of, the traceback."""
+    logging.getLogger("gtcal").exception("this is a bug in gtcal; please report it with what you ran")
+    return EXIT_FAILURE

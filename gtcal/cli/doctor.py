@@ -73,5 +73,5 @@ def _show_finding(line: Callable[..., None], number: int, finding: Finding) -> N
     for text in finding.advice:
         line(f"   do: {text}", "green")
     for text in finding.alternatives:
-        line(f"   or, as likely: {text}", "yellow")
+        line(f"   alternative that the data do not rule out: {text}", "yellow")
     line("")

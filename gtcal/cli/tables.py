@@ -13,6 +13,7 @@ from factors.rigid import inverse
 from gtcal.camera import FloatArray
 from gtcal.cli.folded_table import FoldedTable
 from gtcal.cli.terminal import Terminal
+from gtcal.recordings.capture import Capture
 from gtcal.recordings.recording import Recording
 from gtcal.results.board_shape import BoardShape
 from gtcal.results.calibration import Calibration, CameraCalibration, StageReport, pose_difference
@@ -22,10 +23,19 @@ from gtcal.simulation import GroundTruth
 from gtcal.uncertainty.coverage import coverage
 
 _COVARIANCES = {
-    NAIVE: "of pixel noise alone; too small where the mocap is noisy",
-    CLUSTERED: "by how whole frames scatter, the mocap's errors with them (sandwich)",
-    ERRORS_IN_VARIABLES: "of pixel noise and of the mocap's noise",
+    NAIVE: "from pixel noise alone: too small where the mocap is noisy",
+    CLUSTERED: "cluster-robust (sandwich) covariance, a cluster per frame: includes the mocap's errors",
+    ERRORS_IN_VARIABLES: "from pixel noise and the mocap's noise (errors in variables)",
 }
+
+
+_PLATFORM_REF = "ref: the tracked body that carries the cameras"
+_FRAMES = {
+    Capture.FIXED_CAMERAS: "ref: the mocap's world; body: the tracked body that carries the board",
+    Capture.TRACKED_PLATFORM: f"{_PLATFORM_REF}; body: the one that carries the board",
+    Capture.STANDING_BOARD: f"{_PLATFORM_REF}; body: the mocap's world, in which the board stands",
+}
+"""What the frames are called in which poses are given."""
 
 
 def print_calibration(calibration: Calibration, *, notes: Sequence[str] = (), verbose: bool = False) -> None:
@@ -68,7 +78,10 @@ def fit_table(calibration: Calibration) -> Table:
 
 def pose_table(calibration: Calibration) -> Table:
     """A row per camera and one for the board: where it is, and how sure that is."""
-    table = new_table("where they are", caption=f"1-sigma: {_COVARIANCES[calibration.covariance_kind]}")
+    table = new_table(
+        "where they are",
+        caption=f"1-sigma: {_COVARIANCES[calibration.covariance_kind]}\n{_FRAMES[calibration.capture]}",
+    )
     for heading in ("position, mm", "in", "1-sigma, mm", "deg"):
         table.add_column(heading, justify="left" if heading == "in" else "right")
     for name, camera in calibration.cameras.items():

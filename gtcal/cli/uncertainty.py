@@ -22,9 +22,9 @@ def uncertainty(
     """Say how sure a calibration is: its 1-sigma by each kind of covariance, over each image, and where it is weak.
 
     Three covariances: naive (corners independent, mocap exact: too small wherever the mocap is noisy), frame-clustered
-    (by how whole frames scatter) and errors in variables (with the mocap's noise modelled). Over the image: the pixel
-    of a point that is known in ref, and the point in space of a pixel that is known. Least sure: the ways in which all
-    of it can move at once, each with the motion to record that would fix it. 'gtcal report' draws it.
+    (cluster-robust: a cluster per frame) and errors in variables (with the mocap's noise modelled). Over the image: the
+    pixel of a point that is known in ref, and the point in space of a pixel that is known. Weakest directions: the ways
+    in which all of it can move at once, each with the motion to record that would fix it. 'gtcal report' draws it.
 
     Args:
         calibration: File that 'gtcal calibrate' wrote.
@@ -51,7 +51,7 @@ def uncertainty(
     console = Terminal()
     console.print(_sigma_table(kinds, found.covariance_kind, [(row.name, row.cells) for row in rows]))
     console.print(_image_table(images))
-    for line in (*noise_lines(found.mocap_noise), "Least sure:", *(f"- {d.sentence}" for d in directions)):
+    for line in (*noise_lines(found.mocap_noise), "Weakest directions:", *(f"- {d.sentence}" for d in directions)):
         console.print(line, highlight=False, soft_wrap=True)
     if output is not None:
         document = {

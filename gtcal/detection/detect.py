@@ -9,6 +9,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
+from importlib import import_module
 from itertools import chain
 from pathlib import Path
 from typing import Any, Protocol
@@ -30,20 +31,32 @@ from gtcal.recordings.images import Images, left_out
 from gtcal.verification.lollypop import Lollypop
 
 CACHE_FOLDER = ".gtcal"
-# What decides, with the boards, what is found: a cache made by another version of one of these isn't taken.
-_DETECTOR = (
-    "cholesky",
-    "corner_search",
-    "dots",
-    "lens_guess",
-    "local_warp",
-    "plain_view",
-    "refinement",
-    "sight",
-    "tags",
-    "view_detection",
+# What decides what is found: a cache made by another version of one of these isn't taken.
+DETECTOR = (
+    "factors.camera_models",
+    "gtcal.board",
+    "gtcal.board_base",
+    "gtcal.camera",
+    "gtcal.plain_boards",
+    *(
+        f"gtcal.detection.{name}"
+        for name in (
+            "cholesky",
+            "corner_search",
+            "dots",
+            "lens_guess",
+            "local_warp",
+            "plain_view",
+            "refinement",
+            "sight",
+            "tags",
+            "view_detection",
+        )
+    ),
+    "gtcal.recordings.images",
+    "gtcal.verification.lollypop",
+    "gtcal.verification.lollypop_detection",
 )
-_BOARDS = ("board", "board_base", "plain_boards")
 
 _log = logging.getLogger("gtcal")
 
@@ -224,12 +237,15 @@ def _cache_key(images: Images, board: Board | Lollypop, camera: Camera | None) -
     return hashlib.sha256(json.dumps(everything, sort_keys=True).encode()).hexdigest()
 
 
+def _files_of(module: str) -> list[Path]:
+    """The source of a module, all of it for a package."""
+    path = Path(str(import_module(module).__file__))
+    return sorted(path.parent.glob("*.py")) if path.name == "__init__.py" else [path]
+
+
 @lru_cache(maxsize=1)
 def _detector_version() -> str:
-    here = Path(__file__)
-    modules = [here.with_name(f"{module}.py") for module in _DETECTOR]
-    modules += [here.parents[1] / f"{module}.py" for module in _BOARDS]
-    sources = (path.read_bytes() for path in modules)
+    sources = (path.read_bytes() for name in DETECTOR for path in _files_of(name))
     return hashlib.sha256(b"\0".join(sources)).hexdigest()
 
 

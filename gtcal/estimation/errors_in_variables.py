@@ -190,7 +190,7 @@ def _without(adjusted: Adjusted, gross: Mapping[str, BoolArray]) -> tuple[Adjust
 
 
 _MOST_GROSS = 0.5  # of a camera's views: half of them stay, as in ``screen``
-GROSS = "mocap pose off by more than its noise explains"
+GROSS = "mocap pose is an outlier, far beyond its noise"
 
 
 def _n_corners(views: Views, mask: BoolArray) -> int:

@@ -96,7 +96,7 @@ def _opened(path: Path) -> InputContainer:
     check_regular(path)
     library = _av()
     try:
-        container: InputContainer = library.open(str(path))
+        container: InputContainer = library.open(str(path), metadata_errors="replace")
     except (library.FFmpegError, OSError) as error:
         raise GtcalError(f"{path}: is not a video that can be read, or is cut off: {_reason(error)}") from None
     return container

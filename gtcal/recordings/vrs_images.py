@@ -6,10 +6,13 @@ from __future__ import annotations
 import glob
 import os
 import struct
+import subprocess
+import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -90,11 +93,36 @@ def _reader(path: Path) -> Any:
         from pyvrs import SyncVRSReader
     except ImportError:
         raise GtcalError("reading a VRS file needs VRS's reader; install it with: pip install 'gtcal[vrs]'") from None
+    _check_opens(path)
     try:
         with _quiet():
             return SyncVRSReader(str(path), auto_read_configuration_records=True)
     except Exception as error:  # whatever a damaged file makes the library raise
         raise GtcalError(f"{path}: is not a VRS file that can be read, or is cut off: {_words(error)}") from None
+
+
+_OPEN = "import sys, pyvrs; pyvrs.SyncVRSReader(sys.argv[1], auto_read_configuration_records=True)"
+_LONGEST_S = 60
+
+
+def _check_opens(path: Path) -> None:
+    """The library ends the whole program where an index speaks of streams that aren't there. So a file is opened once
+    in a process of its own, and again only where it has changed."""
+    try:
+        status = path.stat()
+    except OSError as error:
+        raise GtcalError(f"{path}: can't be read: {error.strerror}") from None
+    if not _survives(path, (status.st_size, status.st_mtime_ns, status.st_ctime_ns)):
+        raise GtcalError(f"{path}: is damaged: VRS's reader does not survive opening it; copy it again")
+
+
+@lru_cache(maxsize=64)
+def _survives(path: Path, _state: tuple[int, ...]) -> bool:
+    try:
+        ended = subprocess.run([sys.executable, "-c", _OPEN, str(path)], capture_output=True, timeout=_LONGEST_S)
+    except subprocess.TimeoutExpired:
+        return False
+    return ended.returncode >= 0  # else by a signal; what it raises there it raises here too
 
 
 def _check_whole(path: Path) -> None:

@@ -26,7 +26,7 @@ MOST_DETAILED_CAMERAS = 12
 COVARIANCE_MEANINGS = {
     NAIVE: "The covariance takes the mocap as exact and the corners as independent. Mocap noise moves all corners of "
     "a frame together, so these figures are a lower bound: the true error is often several times larger.",
-    CLUSTERED: "The covariance is by how whole frames scatter (a sandwich): the mocap's errors are in it.",
+    CLUSTERED: "The covariance is cluster-robust (a sandwich, a cluster per frame): it includes the mocap's errors.",
     ERRORS_IN_VARIABLES: "The covariance holds pixel noise and the mocap's noise.",
 }
 
@@ -302,14 +302,14 @@ def _sigma_tile(calibration: Calibration) -> Tile:
     }
     known = {name: (mm, deg) for name, (mm, deg) in sigmas.items() if mm is not None and deg is not None}
     if not known:
-        return Tile("Certainty", "unknown", "", "no covariance was computed: stage 3 was left out")
+        return Tile("Uncertainty", "unknown", "", "no covariance was computed: stage 3 was left out")
     worst = max(known, key=lambda name: known[name][0])
     deg = max(deg for _, deg in known.values())
     return Tile(
-        "Certainty, 1-sigma",
+        "Uncertainty, 1-sigma",
         f"{known[worst][0]:.3f}",
         "mm",
-        f"and {deg:.4f} deg at most; position least sure for {worst}; {calibration.covariance_kind} covariance",
+        f"and {deg:.4f} deg at most; largest for {worst}; {calibration.covariance_kind} covariance",
     )
 
 

@@ -17,6 +17,7 @@ from gtcal.verification.verification import (
     Fault,
     Verdict,
     Verification,
+    VerificationOptions,
 )
 
 _VERDICT_WORDS = {
@@ -38,10 +39,10 @@ class VerdictText:
 
 @dataclass(frozen=True)
 class ErrorText:
-    """``surely``: the RMSE's bounds."""
+    """``bounds``: of the RMSE."""
 
     rmse: str
-    surely: str
+    bounds: str
     median: str
     p95: str
     worst: str
@@ -98,6 +99,7 @@ class VerificationPart:
     poses: tuple[PoseRow, ...]
     device: str
     duration: str
+    bounds: str
     tolerances: str
 
 
@@ -133,6 +135,7 @@ def verification_part(verification: Verification, calibration: Calibration) -> V
         ),
         device=verification.device.describe(),
         duration=f"{verification.duration_s:.0f} s",
+        bounds=_bounds_name(options),
         tolerances=f"RMSE of e_2D up to {options.max_rmse_px:g} px and of e_3D up to {options.max_rmse_mm:g} mm, at "
         f"{options.confidence:.0%} confidence, {options.min_sightings} sightings and {options.min_coverage:.0%} of the "
         f"image at least; up to {options.max_viewing_angle_deg:g} deg from the face's normal",
@@ -146,14 +149,19 @@ def _verdict(verdict: Verdict) -> VerdictText:
 def _tiles(verification: Verification) -> tuple[Tile, ...]:
     px, mm, options = verification.pooled_px, verification.pooled_mm, verification.options
     return (
-        Tile("Lollypop, in the image (e_2D)", f"{px.rmse:.3f}", "px RMSE", _bounds(px, options.max_rmse_px)),
-        Tile("Lollypop, in space (e_3D)", f"{mm.rmse:.3f}", "mm RMSE", _bounds(mm, options.max_rmse_mm)),
+        Tile("Lollypop, in the image (e_2D)", f"{px.rmse:.3f}", "px RMSE", _bounds(px, options, options.max_rmse_px)),
+        Tile("Lollypop, in space (e_3D)", f"{mm.rmse:.3f}", "mm RMSE", _bounds(mm, options, options.max_rmse_mm)),
     )
 
 
-def _bounds(errors: ErrorStatistics, limit: float) -> str:
-    surely = "" if np.isnan(errors.rmse_low) else f"surely {errors.rmse_low:.3f} to {errors.rmse_high:.3f}; "
-    return f"{surely}limit {limit:g} {errors.unit} per camera; median {errors.median:.3f}, 95 % {errors.p95:.3f}"
+def _bounds(errors: ErrorStatistics, options: VerificationOptions, limit: float) -> str:
+    named = _bounds_name(options)
+    bounds = "" if np.isnan(errors.rmse_low) else f"{named} {errors.rmse_low:.3f} to {errors.rmse_high:.3f}; "
+    return f"{bounds}limit {limit:g} {errors.unit} per camera; median {errors.median:.3f}, 95 % {errors.p95:.3f}"
+
+
+def _bounds_name(options: VerificationOptions) -> str:
+    return f"{options.confidence:.0%} bounds"
 
 
 def _row(verification: Verification, calibration: Calibration, found: CameraVerification) -> VerifiedRow:
@@ -176,8 +184,8 @@ def _row(verification: Verification, calibration: Calibration, found: CameraVeri
 def _errors(found: ErrorStatistics) -> ErrorText:
     digits = 3 if found.unit == "px" else 2
     numbers = [f"{value:.{digits}f}" for value in (found.rmse, found.median, found.p95, found.worst)]
-    surely = "" if np.isnan(found.rmse_low) else f"{found.rmse_low:.{digits}f} – {found.rmse_high:.{digits}f}"
-    return ErrorText(numbers[0], surely, *numbers[1:])
+    bounds = "" if np.isnan(found.rmse_low) else f"{found.rmse_low:.{digits}f} – {found.rmse_high:.{digits}f}"
+    return ErrorText(numbers[0], bounds, *numbers[1:])
 
 
 def _sigma(calibration: Calibration, name: str) -> str:

@@ -40,7 +40,7 @@ class ImageCoverage:
     """Where a camera had corners, on a grid of nearly square cells over its image. Row 0 is the image's top.
 
     counts: (H, W) corners. visible: (H, W) the cells that the lens can see.
-    missing: as "the lower left quarter has no corners", a line each."""
+    missing: as "no detections in the lower left quarter of the image", a line each."""
 
     camera: str
     counts: IntArray
@@ -180,14 +180,14 @@ def _missing_regions(covered: BoolArray, visible: BoolArray) -> tuple[str, ...]:
     named = np.zeros_like(visible)
     lines = []
     if not (covered & visible).any():
-        return ("the image has no corners",)
+        return ("no detections in the image",)
     for name, region in _regions(visible.shape).items():
         inside = region & visible
         if not inside.any() or named[inside].mean() > 0.5:
             continue
         share = float(covered[inside].mean())
         if share < BARE:
-            lines.append(f"{name} has {'no' if share == 0.0 else 'hardly any'} corners")
+            lines.append(f"{'no' if share == 0.0 else 'hardly any'} detections in {name} of the image")
             named |= inside
     return tuple(lines)
 

@@ -78,12 +78,12 @@ def _board_and_cameras(
             why, fix = ", which all turns share,", f"turn {mover} about a second axis, by 20 deg or more"
             if nothing_turned:
                 why, fix = ", as hardly anything turned,", f"turn {mover} about two different axes, by 20 deg or more"
-            return Words(f"X: the board's translation along {axis}{why} and the cameras with it", size, fix, True)
-        what = f"X: the board's translation along {axis}, against the places of all cameras"
+            return Words(f"body_T_board: translation along {axis}{why} and the cameras with it", size, fix, True)
+        what = f"body_T_board: translation along {axis}, against the places of all cameras"
         return Words(what, size, f"turn {mover} more, about two axes, and record nearer to the cameras", True)
     size = _deg(board.turn_deg, *(camera.turn_deg for camera in cameras))
     axis = axis_in_words(board.turn_deg, BODIES[placement.capture])
-    what = f"X: the board's attitude about {axis}, and the cameras with it"
+    what = f"body_T_board: attitude about {axis}, and the cameras with it"
     return Words(what, size, f"turn {mover} more, about two axes or more", True)
 
 
@@ -93,9 +93,9 @@ def _board(board: BoardMotion, moving: list[str], placement: Placement) -> Words
     fix = f"record more views, with {mover} turned about several axes"
     if _shifts(board):
         axis = axis_in_words(board.shift_mm, body)
-        return Words(f"X: the board's translation along {axis}{along}", _mm(board.shift_mm), fix, True)
+        return Words(f"body_T_board: translation along {axis}{along}", _mm(board.shift_mm), fix, True)
     axis = axis_in_words(board.turn_deg, body)
-    return Words(f"X: the board's attitude about {axis}{along}", _deg(board.turn_deg), fix, True)
+    return Words(f"body_T_board: attitude about {axis}{along}", _deg(board.turn_deg), fix, True)
 
 
 def _camera(name: str, camera: CameraMotion, placement: Placement) -> Words:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
@@ -187,19 +185,16 @@ _COLUMNS = (
 
 def write_drift_csv(path: Path, drift: Drift) -> None:
     """Write a row per recording and camera, whole or not at all. Raises GtcalError where it can't be written."""
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(_COLUMNS.split(","))
+    lines = [_COLUMNS]
     for name, found in zip(drift.names, drift.verifications, strict=True):
         finding = csv_cell("; ".join(fault.sentence for fault in found.faults))
         for camera in found.cameras.values():
             px, mm = camera.px, camera.mm
             numbers = (px.rmse, px.rmse_low, px.rmse_high, px.p95, px.worst, mm.rmse, mm.rmse_low, mm.rmse_high)
             row = (f"{x:.6g}" if np.isfinite(x) else "" for x in numbers)
-            writer.writerow(
-                [csv_cell(name), csv_cell(camera.camera), str(camera.verdict), camera.n_sightings, *row, finding]
-            )
-    write_text(path, text.getvalue())
+            texts = csv_cell(name), csv_cell(camera.camera), str(camera.verdict), str(camera.n_sightings)
+            lines.append(",".join((*texts, *row, finding)))
+    write_text(path, "\n".join(lines) + "\n")
 
 
 def write_drift_json(path: Path, drift: Drift, provenance: Provenance) -> None:

@@ -4,8 +4,6 @@ The single sightings have a CSV of their own."""
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
@@ -89,9 +87,7 @@ def write_sightings(path: Path, verification: Verification) -> None:
                     np.rad2deg(seen.field_angle_rad),
                 ]
             ).tolist()
-            quoted = io.StringIO()
-            csv.writer(quoted, lineterminator="").writerow([csv_cell(name)])
-            camera = quoted.getvalue()
+            camera = csv_cell(name)
             rows = zip(seen.stamps_ns.tolist(), seen.face_index.tolist(), numbers, strict=True)
             file.writelines(f"{t},{camera},{face},{','.join(f'{x:.6f}' for x in row)}\n" for t, face, row in rows)
 
