@@ -17,7 +17,7 @@ FLOORS = (
     "gtcal.estimation gtcal.uncertainty gtcal.clock gtcal.detection gtcal.verification gtcal.effects",
     "gtcal.workflow gtcal.differences gtcal.doctor gtcal.report gtcal.overview gtcal.baselines gtcal.selfchecks "
     "gtcal.simulation gtcal.convert",
-    "gtcal.cli gtcal.__main__",
+    "gtcal.cli gtcal.presentation gtcal.__main__",
 )
 """From the ground up: a room imports from its own floor and from those below. A new one is to be named here."""
 

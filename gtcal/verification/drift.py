@@ -19,6 +19,7 @@ from gtcal.files import InputFile, write_text
 from gtcal.plain import csv_cell
 from gtcal.progress import Progress, silent
 from gtcal.results.calibration import Calibration, Provenance
+from gtcal.results.presented import Presented
 from gtcal.verification.lollypop_recording import LollypopRecording
 from gtcal.verification.verdict import overall_verdict
 from gtcal.verification.verification import ErrorStatistics, Verdict, Verification, VerificationOptions
@@ -47,8 +48,8 @@ class Trend:
     significant: bool
 
 
-@dataclass(frozen=True)
-class Drift:
+@dataclass(frozen=True, repr=False)
+class Drift(Presented):
     """names, verifications: one for each recording, in their order.
 
     first_failing: the place of the first recording whose verdict is fail, None where there is none."""
