@@ -151,7 +151,7 @@ def frame(result: object) -> pandas.DataFrame:
     except ImportError:
         raise GtcalError("to_pandas needs the library pandas: pip install 'gtcal[pandas]'") from None
     rows = _rows(result)
-    return pandas.DataFrame(rows).set_index(next(iter(rows[0])) if rows else [])
+    return pandas.DataFrame(rows).set_index(next(iter(rows[0])))
 
 
 @singledispatch

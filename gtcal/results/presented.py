@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
@@ -23,7 +24,7 @@ class Presented:
 
     def to_dict(self) -> dict[str, Any]:
         """As it stands in its JSON file: plain lists, numbers and text; None for what is no number."""
-        return dict(_asked("document", self))
+        return dict(json.loads(json.dumps(_asked("document", self), allow_nan=False)))
 
     def to_pandas(self) -> pandas.DataFrame:
         """A row for each camera (of a difference for each change, of a series for each recording and camera), units in
