@@ -5,6 +5,19 @@ recording = gtcal.load_recording("my_recording")
 calibration = gtcal.calibrate(recording)
 gtcal.write_calibration("calibration.json", calibration)
 verification = gtcal.verify(gtcal.load_lollypop_recording("my_lollypop"), calibration)
+
+Recordings      load_recording, Recording, write_recording, detected, board_from_manifest, PRESETS
+Calibrate       calibrate, CalibrationOptions, calibrate_jointly, EarlierCalibration, Growth; step by step: synchronise,
+                calibrate_observations; on poses alone: calibrate_poses, PoseLevel
+Result          Calibration, read_calibration, write_calibration
+Verify          load_lollypop_recording, LollypopRecording, write_lollypop_recording, verify, VerificationOptions,
+                Verification, read_verification, write_verification; over time: verify_series, Drift
+Compare, check  difference, Difference, DifferenceOptions, selfcheck, SelfCheck, write_selfcheck
+What is wrong   diagnose, Diagnosis, Finding, write_diagnosis, GtcalError (all that gtcal raises of what it is given)
+
+Results print as the command line's tables and show in a notebook as the report; to_dict(), to_pandas() and plot_...()
+hand on their numbers and figures. Poses are named a_T_b, coordinates in b to coordinates in a, in m.
+Worked examples: scripts/example_*.py.
 """
 
 from importlib import import_module

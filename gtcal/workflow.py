@@ -42,8 +42,19 @@ def calibrate(
     earlier: EarlierCalibration | None = None,
     progress: Progress = silent,
 ) -> Calibration:
-    """Calibrate a recording; cameras that have only images are detected first. earlier: a calibration of the same rig,
-    of which all that has not moved since is known already.
+    """Calibrate a recording; cameras that have only images are detected first.
+
+        calibration = gtcal.calibrate(gtcal.load_recording("my_recording"))
+        calibration.cameras["cam0"].camera_T_ref.a_T_b                     # (4, 4), ref to camera, m
+        calibration.cameras["cam0"].camera_T_ref.position_of_a_in_b_sigma_mm  # (3,) 1-sigma of its place
+        calibration.body_T_board.a_T_b                                     # X, board to its tracked body
+        calibration                                                        # its tables; plot_cameras() and others draw
+
+    recording: of ``load_recording``; ref is the mocap's world or the tracked platform, by its capture.
+    options: ``CalibrationOptions``; by default intrinsics and the board's shape move near what is stated of them, and
+        the mocap's noise is modelled where that earns its place.
+    earlier: a calibration of the same rig, of which all that has not moved since is known already.
+    progress: called as progress(what, done, of).
 
     Raises GtcalError with one line on what is wrong: intrinsics missing, too few views, a degenerate motion, no time
     in common, or files that contradict each other (DisagreementError, with the likely mistake if one is found)."""

@@ -112,9 +112,9 @@ def test_every_field_that_is_missing_renamed_or_wrong_is_told_in_one_line_or_not
     [
         (
             "c.yaml",
-            KALIBR.replace("pinhole", "omni", 1),
+            KALIBR.replace("pinhole", "cata", 1),
             None,
-            r"cam0\.camera_model: is 'omni', and gtcal has no such lens",
+            r"cam0\.camera_model: is 'cata', and gtcal has no such lens",
         ),
         ("c.yaml", KALIBR.replace("radtan", "fov", 1), None, r"cam0\.distortion_model: is 'fov'"),
         ("c.yaml", KALIBR.replace("resolution", "resolutoin", 1), None, r"cam0: the file doesn't state the size"),

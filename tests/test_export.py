@@ -35,7 +35,7 @@ RIGS = {
 }
 HOLD = {
     "headset": {"colmap", "aria", "hot3d", "umetrack", "numpy"},
-    "fixed": {"opencv", "ros", "ros_bag", "colmap", "anipose", "numpy"},  # with k3
+    "fixed": {"basalt", "opencv", "ros", "ros_bag", "colmap", "anipose", "numpy"},  # with k3
 }
 
 

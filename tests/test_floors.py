@@ -19,7 +19,7 @@ FLOORS = (
     "gtcal.workflow gtcal.guided gtcal.differences gtcal.doctor gtcal.report gtcal.overview gtcal.baselines "
     "gtcal.selfchecks gtcal.simulation gtcal.convert",
     "gtcal.fleet",
-    "gtcal.cli gtcal.__main__",
+    "gtcal.cli gtcal.presentation gtcal.__main__",
 )
 """From the ground up: a room imports from its own floor and from those below. A new one is to be named here."""
 

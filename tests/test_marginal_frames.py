@@ -189,5 +189,5 @@ def test_a_camera_may_see_nothing_for_long(monkeypatch: pytest.MonkeyPatch) -> N
     whole = adjust_with_mocap_noise(*one).values
     monkeypatch.setattr(marginal_frames, "_AT_ONCE", 1)
     by_frame = adjust_with_mocap_noise(*one).values
-    for key in whole.keys():
+    for key in list(whole.keys()):
         np.testing.assert_allclose(by_frame.atPose3(key).matrix(), whole.atPose3(key).matrix(), atol=1e-8)

@@ -12,6 +12,7 @@ import pytest
 import yaml
 from scipy.spatial.transform import Rotation
 
+from factors import CAMERA_MODELS
 from factors.rigid import inverse
 from gtcal.board import PAPER_A2, AprilGrid, CharucoBoard
 from gtcal.cli.simulate import simulate as simulate_command
@@ -38,7 +39,7 @@ from gtcal.simulation.simulate import START_NS
 
 NO_MOCAP_NOISE = MocapNoise(translation_mm=0.0, rotation_deg=0.0)
 CHARUCO = CharucoBoard("DICT_5X5_100", 8, 6, 0.06, 0.045)
-ALL_MODELS = ("pinhole_radtan", "kannala_brandt4", "fisheye62", "fisheye624")
+ALL_MODELS = tuple(CAMERA_MODELS)
 
 
 def options(**changes: object) -> SimulationOptions:
@@ -81,7 +82,7 @@ def test_without_pixel_noise_the_truth_reprojects_exactly(capture: Capture, boar
 
 
 def test_every_camera_model_reprojects_exactly() -> None:
-    rig = fixed_cameras_rig(models=ALL_MODELS)
+    rig = fixed_cameras_rig(len(ALL_MODELS), models=ALL_MODELS)
     simulation = simulate(options(rig=rig, capture=Capture.FIXED_CAMERAS, corners=CornerNoise(pixel_px=0.0)), seed=0)
     assert [camera.model.name for camera in simulation.recording.cameras.values()] == list(ALL_MODELS)
     for name in simulation.recording.cameras:

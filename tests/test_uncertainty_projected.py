@@ -35,6 +35,8 @@ THETAS = {
     "pinhole_radtan": [804.6, 805.1, 638.4, 509.4, -0.1, 0.02, 0.0005, -0.0003, 0.001],
 }
 THETAS["fisheye624"] = [*THETAS["fisheye62"], 1e-4, -2e-5, -1e-4, 3e-5]
+for _name, _model in CAMERA_MODELS.items():
+    THETAS.setdefault(_name, [*_model.usual[:1] * 2, 638.4, 509.4, *_model.usual[1:]])
 CAMERA_T_REF = gtsam.Pose3.Expmap(np.array([0.7, -0.4, 1.9, 0.3, -0.2, 0.5])).matrix()
 
 

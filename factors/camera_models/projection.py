@@ -111,6 +111,8 @@ def _fill_by_theta(theta: FloatArray, end: FloatArray) -> None:
         end[_VALUE_BY, i] = along[0, i] + by_scale[0, i]
         end[_ANGLE_BY, i] = moved / stretch
         end[_SLOPE_BY, i] = stretch * ((slope_above - slope_below) / (2.0 * _DIFFERENCE) + bent * moved)
+        if perspective:
+            end[_SLOPE_BY, i] += 2.0 * limit * moved * radius(theta, limit)[1]
         end[_M_BY, i] = along[1, i] + m_slope * moved
 
 
@@ -421,7 +423,10 @@ class Kernels:
 @cache
 def kernels_of(name: str, parts: Parts) -> Kernels:
     """The kernels of a model of this name with these parts."""
-    cached = parts.spread.value.__module__.startswith(__package__)
+    functions = [
+        function for part in (parts.spread, parts.radial, parts.tangential) for function in vars(part).values()
+    ]
+    cached = all(function.__module__.startswith(f"{__package__}.") for function in functions)
     bound = _names_of(parts)
 
     def called(template: Function) -> Function:

@@ -124,7 +124,7 @@ def lens_of(entry: Field) -> Expressed:
         raise model.error(f"is {model.text()!r}, and gtcal has no such lens; expected one of {known}")
     found = next((lens for lens in of_model if stated in (lens.distortion_model, "none")), None)
     if found is None:
-        known = ", ".join(["none", *dict.fromkeys(lens.distortion_model for lens in of_model if lens.coefficients)])
+        known = ", ".join(dict.fromkeys([*(lens.distortion_model for lens in of_model), "none"]))
         raise distortion.error(f"is {distortion.text()!r}, and gtcal has no such lens; expected one of {known}")
     theta = np.zeros(found.form.model.n_parameters)
     theta[list(found.intrinsics)] = entry["intrinsics"].numbers(len(found.intrinsics))

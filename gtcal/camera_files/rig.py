@@ -31,12 +31,17 @@ class ReadOptions:
     the file says of a camera.
 
     model: of every camera, a name of gtcal's. image_size_px: of every image. length_unit: of translations.
-    nearest: take the nearest lens where gtcal has no model of the file's, in place of refusing."""
+    nearest: take the nearest lens where gtcal has no model of the file's, in place of refusing.
+    Raises GtcalError for a model that there isn't."""
 
     model: str | None = None
     image_size_px: tuple[int, int] | None = None
     length_unit: LengthUnit | None = None
     nearest: bool = False
+
+    def __post_init__(self) -> None:
+        if self.model is not None and self.model not in CAMERA_MODELS:
+            raise GtcalError(f"{self.model!r} is no camera model; choose from {', '.join(CAMERA_MODELS)}")
 
     def length_m(self, stated: Field | None) -> float | None:
         """The file's unit of length in m, None where neither the file nor these options tell. Raises GtcalError where

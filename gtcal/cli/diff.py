@@ -76,7 +76,7 @@ def diff(
         write_difference(output, found, provenance(options, inputs, time.perf_counter() - started))
     if not quiet:
         console = Terminal()
-        console.print(_table(found))
+        console.print(difference_table(found))
         for line in (f"{found.verdict}", *found.statements, *(f"note: {note}" for note in found.notes)):
             console.print(line, highlight=False, soft_wrap=True)
         written = [str(path) for path in (output, figure) if path is not None]
@@ -91,7 +91,8 @@ def _exit_code(found: Difference) -> int:
     return {Verdict.MOVED: 3, Verdict.UNTOLD: 4}.get(found.verdict, 0)
 
 
-def _table(found: Difference) -> Table:
+def difference_table(found: Difference) -> Table:
+    """A row per change."""
     from gtcal.cli.tables import new_table
 
     table = new_table(

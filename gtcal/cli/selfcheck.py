@@ -67,7 +67,7 @@ def selfcheck(
     if quiet:
         return
     console = Terminal()
-    for table in _tables(found):
+    for table in selfcheck_tables(found):
         console.print(table)
     for line in (*found.statements, *(f"note: {note}" for note in found.notes)):
         console.print(line, highlight=False)
@@ -75,7 +75,8 @@ def selfcheck(
         console.print(f"written: {output}", highlight=False)
 
 
-def _tables(found: SelfCheck) -> list[Table]:
+def selfcheck_tables(found: SelfCheck) -> list[Table]:
+    """Halves, blocks of time, and where the error is."""
     from gtcal.cli.tables import new_table
     from gtcal.selfchecks.folds import DEFAULT
 

@@ -39,8 +39,15 @@ _FRAMES = {
 
 
 def print_calibration(calibration: Calibration, *, notes: Sequence[str] = (), verbose: bool = False) -> None:
-    """Print fit, poses and warnings; ``verbose`` adds the distortion, the stages, what was left out and why, and the
-    effects that the data do not want."""
+    """Print fit, poses and warnings; ``verbose`` as for ``calibration_parts``."""
+    Terminal().print(Group(*calibration_parts(calibration, notes=notes, verbose=verbose)))
+
+
+def calibration_parts(
+    calibration: Calibration, *, notes: Sequence[str] = (), verbose: bool = False
+) -> list[RenderableType]:
+    """Fit, poses and warnings; ``verbose`` adds the distortion, the stages, what was left out and why, and the effects
+    that the data do not want."""
     parts: list[RenderableType] = [
         fit_table(calibration),
         pose_table(calibration),
@@ -60,8 +67,7 @@ def print_calibration(calibration: Calibration, *, notes: Sequence[str] = (), ve
         parts.append(Text(f"clock: {calibration.clock.statement} added to the cameras' stamps"))
         parts += [Text(f"clock: {line}") for line in calibration.clock.readout_statements]
     parts += [Text(f"note: {note}", style="cyan") for note in notes]
-    parts += [Text(f"warning: {warning}", style="yellow") for warning in calibration.warnings]
-    Terminal().print(Group(*parts))
+    return parts + [Text(f"warning: {warning}", style="yellow") for warning in calibration.warnings]
 
 
 def fit_table(calibration: Calibration) -> Table:

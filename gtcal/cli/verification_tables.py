@@ -22,7 +22,14 @@ _WORDS = {
 
 
 def print_verification(verification: Verification, *, notes: Sequence[str] = (), verbose: bool = False) -> None:
-    """Print the verdict, a table per camera and the findings; ``verbose`` adds what was left out and why."""
+    """Print the verdict, a table per camera and the findings; ``verbose`` as for ``verification_parts``."""
+    Terminal().print(Group(*verification_parts(verification, notes=notes, verbose=verbose)))
+
+
+def verification_parts(
+    verification: Verification, *, notes: Sequence[str] = (), verbose: bool = False
+) -> list[RenderableType]:
+    """The verdict, a table per camera and the findings; ``verbose`` adds what was left out and why."""
     parts: list[RenderableType] = [Text(_WORDS[verification.verdict], style=_STYLES[verification.verdict])]
     parts += [Text(f"  {reason}") for reason in verification.reasons]
     parts += [_table(verification), *_findings(verification), *_expected_lines(verification)]
@@ -32,8 +39,7 @@ def print_verification(verification: Verification, *, notes: Sequence[str] = (),
         parts += [_bias_line(camera) for camera in verification.cameras.values()]
         parts += [Text(f"left out of {left.camera}: {left.count}: {left.reason}") for left in verification.left_out]
     parts += [Text(f"note: {note}", style="cyan") for note in notes]
-    parts += [Text(f"warning: {warning}", style="yellow") for warning in verification.warnings]
-    Terminal().print(Group(*parts))
+    return parts + [Text(f"warning: {warning}", style="yellow") for warning in verification.warnings]
 
 
 def _table(verification: Verification) -> Table:
@@ -119,28 +125,38 @@ def _depth_lines(verification: Verification) -> list[Text]:
 
 def print_drift(found: Drift) -> None:
     """Print a row per recording, the first failure and the trends."""
-    console = Terminal()
-    console.print(_drift_table(found))
-    first = found.first_failing
-    if first is None:
-        console.print("No recording fails.")
-    else:
-        console.print(Text(f"The first to fail is {found.names[first]}.", style="bold red"))
-        for fault in found.verifications[first].faults:
-            console.print(
-                Text(f"It looks as if {fault.sentence}" + (f", but {fault.caveat}." if fault.caveat else "."))
-            )
-    for trend in found.trends:
-        if trend.significant:
-            direction = "grows" if trend.slope_per_recording > 0 else "falls"
-            console.print(
-                Text(
-                    f"Trend: the RMSE of {trend.camera} {direction} by {abs(trend.slope_per_recording):.3f} "
-                    f"± {trend.slope_sigma_per_recording:.3f} {trend.unit} per recording (p = {trend.p_value:.1g})."
-                )
-            )
-    if not any(trend.significant for trend in found.trends):
-        console.print("No trend that chance doesn't explain.")
+    Terminal().print(Group(*drift_parts(found)))
+
+
+def drift_parts(found: Drift) -> list[RenderableType]:
+    """A row per recording, the first failure and the trends."""
+    return [_drift_table(found), *_first_failure(found), *_trends(found)]
+
+
+def _first_failure(found: Drift) -> list[Text]:
+    if found.first_failing is None:
+        return [Text("No recording fails.")]
+    faults = found.verifications[found.first_failing].faults
+    return [
+        Text(f"The first to fail is {found.names[found.first_failing]}.", style="bold red"),
+        *(
+            Text(f"It looks as if {fault.sentence}" + (f", but {fault.caveat}." if fault.caveat else "."))
+            for fault in faults
+        ),
+    ]
+
+
+def _trends(found: Drift) -> list[Text]:
+    lines = [
+        Text(
+            f"Trend: the RMSE of {trend.camera} {'grows' if trend.slope_per_recording > 0 else 'falls'} by "
+            f"{abs(trend.slope_per_recording):.3f} ± {trend.slope_sigma_per_recording:.3f} {trend.unit} per recording "
+            f"(p = {trend.p_value:.1g})."
+        )
+        for trend in found.trends
+        if trend.significant
+    ]
+    return lines or [Text("No trend that chance doesn't explain.")]
 
 
 def _drift_table(found: Drift) -> Table:

@@ -27,6 +27,7 @@ from gtcal.estimation.linear import squared_distance
 from gtcal.files import InputFile
 from gtcal.results.calibration import Calibration, pose_difference
 from gtcal.results.covariance import JointCovariance
+from gtcal.results.presented import Presented
 from gtcal.uncertainty.projected import (
     CELLS_ACROSS,
     image_grid,
@@ -147,8 +148,8 @@ class PixelChange:
         return _rms(self.expected_px)
 
 
-@dataclass(frozen=True)
-class Difference:
+@dataclass(frozen=True, repr=False)
+class Difference(Presented):
     """aligned: B_ref_T_A_ref (4, 4), where ref was defined anew; the cameras' changes are then what is left of them.
     changes: of all cameras together (where there are several), of each camera, of its intrinsics, of the board and its
     shape.

@@ -18,7 +18,13 @@ SCHEMA_VERSION = 1
 
 def write_difference(path: Path | str, found: Difference, made: Provenance) -> None:
     """Write diff.json, whole or not at all. Raises GtcalError where it can't be written."""
-    document = {
+    document = difference_document(found) | {"provenance": provenance_document(made)}
+    write_text(Path(path), json.dumps(document, indent=1, allow_nan=False) + "\n")
+
+
+def difference_document(found: Difference) -> dict[str, Any]:
+    """As it stands in diff.json, but for how it was made."""
+    return {
         "gtcal_difference": SCHEMA_VERSION,
         "verdict": found.verdict,
         "statements": list(found.statements),
@@ -26,9 +32,7 @@ def write_difference(path: Path | str, found: Difference, made: Provenance) -> N
         "options": asdict(found.options),
         "b_ref_T_a_ref": None if found.aligned is None else found.aligned.tolist(),
         "changes": [_change(change, found) for change in found.changes],
-        "provenance": provenance_document(made),
     }
-    write_text(Path(path), json.dumps(document, indent=1, allow_nan=False) + "\n")
 
 
 def _change(change: Change, found: Difference) -> dict[str, Any]:

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from factors.rigid import inverse
 from gtcal.report.pictures import CAMERA_COLOURS, MUTED, styled_figure, write_figure
@@ -26,13 +27,24 @@ def draw_calibration(path: Path, calibration: Calibration) -> None:
 
     Raises GtcalError for another suffix, or where it can't be written."""
     with styled_figure(10.0, 3.6) as figure:
-        figure.set_layout_engine("constrained")
-        *views, fit = figure.subplots(1, 3)
-        for axes, plane in zip(views, _PLANES, strict=True):
-            _cameras(axes, calibration, plane)
-        _fits(fit, calibration)
-        views[0].set_title(f"cameras in the {REF_NAMES[calibration.capture]}", loc="left", fontsize=9)
+        _on_calibration(figure, calibration)
         write_figure(path, figure)
+
+
+def calibration_figure(calibration: Calibration) -> Figure:
+    """Where the cameras are in ref and look to, from two sides, and how well each fits."""
+    with styled_figure(10.0, 3.6) as figure:
+        _on_calibration(figure, calibration)
+        return figure
+
+
+def _on_calibration(figure: Figure, calibration: Calibration) -> None:
+    figure.set_layout_engine("constrained")
+    *views, fit = figure.subplots(1, 3)
+    for axes, plane in zip(views, _PLANES, strict=True):
+        _cameras(axes, calibration, plane)
+    _fits(fit, calibration)
+    views[0].set_title(f"cameras in the {REF_NAMES[calibration.capture]}", loc="left", fontsize=9)
 
 
 def _cameras(axes: Axes, calibration: Calibration, plane: tuple[int, int]) -> None:
@@ -72,19 +84,39 @@ def draw_verification(path: Path, verification: Verification) -> None:
     """Draw the heat map of every camera: PNG or SVG, by the file's suffix; whole or not at all.
 
     Raises GtcalError for another suffix, or where it can't be written."""
-    cameras = list(verification.cameras.values())
-    across = min(len(cameras), _HEAT_MAPS_ACROSS)
-    rows = -(-len(cameras) // across)
-    with styled_figure(3.3 * across, 0.5 + 2.9 * rows) as figure:
-        figure.set_layout_engine("constrained")
-        parts = figure.subfigures(rows, across, squeeze=False).ravel()
-        for part, camera in zip(parts, cameras, strict=False):
-            axes = part.add_subplot(aspect="equal")
-            _over_image(axes, camera.heat_map)
-            draw_heat_map(axes, camera.heat_map)
-            axes.set_title(f"{camera.camera}: {camera.verdict.value}, {camera.px.rmse:.2f} px", fontsize=9)
-        class_legend(figure)
+    with styled_figure(*_size_of(verification)) as figure:
+        _on_verification(figure, verification)
         write_figure(path, figure)
+
+
+def verification_figure(verification: Verification) -> Figure:
+    """The heat map of every camera."""
+    with styled_figure(*_size_of(verification)) as figure:
+        _on_verification(figure, verification)
+        return figure
+
+
+def _grid_of(verification: Verification) -> tuple[int, int]:
+    """Rows and columns."""
+    across = min(len(verification.cameras), _HEAT_MAPS_ACROSS)
+    return -(-len(verification.cameras) // across), across
+
+
+def _size_of(verification: Verification) -> tuple[float, float]:
+    rows, across = _grid_of(verification)
+    return 3.3 * across, 0.5 + 2.9 * rows
+
+
+def _on_verification(figure: Figure, verification: Verification) -> None:
+    rows, across = _grid_of(verification)
+    figure.set_layout_engine("constrained")
+    parts = figure.subfigures(rows, across, squeeze=False).ravel()
+    for part, camera in zip(parts, verification.cameras.values(), strict=False):
+        axes = part.add_subplot(aspect="equal")
+        _over_image(axes, camera.heat_map)
+        draw_heat_map(axes, camera.heat_map)
+        axes.set_title(f"{camera.camera}: {camera.verdict.value}, {camera.px.rmse:.2f} px", fontsize=9)
+    class_legend(figure)
 
 
 def _over_image(axes: Axes, found: HeatMap) -> None:

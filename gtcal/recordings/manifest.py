@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
@@ -43,17 +43,16 @@ from gtcal.recordings.trajectory import QuaternionOrder
 MANIFEST_NAMES = ("recording.yaml", "recording.yml", "recording.json")
 
 
-def _choice(what: str, choices: Iterable[str]) -> tuple[AfterValidator, WithJsonSchema]:
-    """A text that must be one of these choices: the check, and its part of the schema."""
-    listed = list(choices)
+def _choice(what: str, choices: Collection[str]) -> tuple[AfterValidator, WithJsonSchema]:
+    """A text that must be one of these choices, as they are when it is read: the check, and its part of the schema."""
 
     def check(value: str) -> str:
-        if value not in listed:
-            message = f"{value!r} is not {what}{did_you_mean(value, listed)}; choose from {', '.join(listed)}"
+        if value not in choices:
+            message = f"{value!r} is not {what}{did_you_mean(value, list(choices))}; choose from {', '.join(choices)}"
             raise PydanticCustomError("choice", "{message}", {"message": message})
         return value
 
-    return AfterValidator(check), WithJsonSchema({"type": "string", "enum": listed})
+    return AfterValidator(check), WithJsonSchema({"type": "string", "enum": list(choices)})
 
 
 CameraModelName = Annotated[str, *_choice("a camera model", CAMERA_MODELS)]

@@ -6,7 +6,7 @@ import base64
 import io
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -63,13 +63,15 @@ _STYLE: Any = {
 
 @dataclass(frozen=True)
 class Picture:
-    """A picture for the page. ``uri`` is a data URI; ``caption`` says how to read it; sizes in CSS px."""
+    """A picture for the page. ``uri`` is a data URI; ``caption`` says how to read it; sizes in CSS px. figure: what it
+    is of, None of an image."""
 
     title: str
     caption: str
     uri: str
     width_px: int
     height_px: int
+    figure: Figure | None = field(default=None, compare=False, repr=False)
 
     @property
     def alt(self) -> str:
@@ -90,7 +92,7 @@ def picture(figure: Figure, title: str, caption: str) -> Picture:
     width_in, height_in = figure.get_size_inches()
     svg = _svg(figure)
     uri = data_uri("image/svg+xml", svg) if len(svg) <= _SVG_LIMIT_BYTES else data_uri("image/png", _png(figure))
-    return Picture(title, caption, uri, round(96 * width_in), round(96 * height_in))
+    return Picture(title, caption, uri, round(96 * width_in), round(96 * height_in), figure)
 
 
 def write_figure(path: Path, figure: Figure) -> None:

@@ -21,6 +21,7 @@ from gtcal.results.carried_over import CarriedOver
 from gtcal.results.covariance import JointCovariance
 from gtcal.results.effect_finding import EffectFinding
 from gtcal.results.lens_move import LensMove
+from gtcal.results.presented import PresentedCalibration
 
 
 @dataclass(frozen=True)
@@ -299,9 +300,9 @@ class Segment:
     camera_T_ref: dict[str, PoseEstimate]
 
 
-@dataclass(frozen=True)
-class Calibration:
-    """The result of ``calibrate``.
+@dataclass(frozen=True, repr=False)
+class Calibration(PresentedCalibration):
+    """The result of ``calibrate``. It prints as the command line's tables; ``plot_cameras`` and its like draw it.
 
     sigma_px: standard deviation of one pixel coordinate, estimated from the residuals or as given.
     covariances: of X, every Y_c and every theta_c together, by kind (``gtcal.results.covariance``); none without

@@ -58,7 +58,7 @@ CONVENTIONS = (
 
 def write_calibration(path: Path | str, calibration: Calibration) -> None:
     """Write calibration.json, whole or not at all. Raises GtcalError where it can't be written."""
-    write_text(Path(path), json.dumps(_document(calibration), indent=1, allow_nan=False) + "\n")
+    write_text(Path(path), json.dumps(calibration_document(calibration), indent=1, allow_nan=False) + "\n")
 
 
 def read_calibration(path: Path | str) -> Calibration:
@@ -68,7 +68,8 @@ def read_calibration(path: Path | str) -> Calibration:
     return read_result(Path(path), "calibration", SCHEMA_VERSION, _calibration)
 
 
-def _document(calibration: Calibration) -> dict[str, Any]:
+def calibration_document(calibration: Calibration) -> dict[str, Any]:
+    """As it stands in calibration.json."""
     return {
         "gtcal_calibration": SCHEMA_VERSION,
         "conventions": CONVENTIONS,

@@ -18,6 +18,7 @@ from gtcal.recordings.detections import IntArray
 from gtcal.recordings.numbering import numbers_of
 from gtcal.recordings.recording import Recording
 from gtcal.results.calibration import Calibration, Provenance
+from gtcal.results.presented import Presented
 from gtcal.results.provenance import provenance
 from gtcal.selfchecks.chain_and_pnp import ChainAndPnp, chain_and_pnp
 from gtcal.selfchecks.folds import HoldOut, hold_out, taken, typical_px
@@ -31,8 +32,8 @@ FAR = 2.0
 _LEAST_FOLDS = 2
 
 
-@dataclass(frozen=True)
-class SelfCheck:
+@dataclass(frozen=True, repr=False)
+class SelfCheck(Presented):
     """The outcome of all checks.
 
     halves: None where half of the recording determines no calibration. hold_outs: of the default estimate first, then

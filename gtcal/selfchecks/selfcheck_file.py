@@ -19,10 +19,11 @@ SCHEMA_VERSION = 1
 
 def write_selfcheck(path: Path | str, found: SelfCheck) -> None:
     """Write selfcheck.json, whole or not at all. Raises GtcalError where it can't be written."""
-    write_text(Path(path), json.dumps(_document(found), indent=1, allow_nan=False) + "\n")
+    write_text(Path(path), json.dumps(selfcheck_document(found), indent=1, allow_nan=False) + "\n")
 
 
-def _document(found: SelfCheck) -> dict[str, Any]:
+def selfcheck_document(found: SelfCheck) -> dict[str, Any]:
+    """As it stands in selfcheck.json."""
     halves = found.halves
     return {
         "gtcal_selfcheck": SCHEMA_VERSION,

@@ -20,6 +20,7 @@ from gtcal.progress import Progress, silent
 from gtcal.recordings.detections import CameraDetections
 from gtcal.recordings.images import Images
 from gtcal.results.calibration import Calibration, Provenance
+from gtcal.results.presented import Presented
 from gtcal.verification.lollypop_recording import LollypopRecording
 from gtcal.verification.verdict import overall_verdict
 from gtcal.verification.verification import ErrorStatistics, Verdict, Verification, VerificationOptions
@@ -48,8 +49,8 @@ class Trend:
     significant: bool
 
 
-@dataclass(frozen=True)
-class Drift:
+@dataclass(frozen=True, repr=False)
+class Drift(Presented):
     """names, verifications: one for each recording, in their order.
 
     first_failing: the place of the first recording whose verdict is fail, None where there is none."""

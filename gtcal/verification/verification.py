@@ -18,6 +18,7 @@ from gtcal.camera import Camera, FloatArray
 from gtcal.errors import GtcalError
 from gtcal.recordings.detections import IntArray
 from gtcal.results.calibration import Calibration, Provenance
+from gtcal.results.presented import PresentedVerification
 
 if TYPE_CHECKING:
     from gtcal.verification.lollypop import Lollypop
@@ -445,9 +446,9 @@ class Fault:
         )
 
 
-@dataclass(frozen=True)
-class Verification:
-    """The result of ``verify``.
+@dataclass(frozen=True, repr=False)
+class Verification(PresentedVerification):
+    """The result of ``verify``. It prints as the command line's tables; ``plot_heat_maps`` and its like draw it.
 
     reasons: why it is not a pass, one line each.
     pooled_px, pooled_mm: over the sightings of all cameras.

@@ -52,8 +52,12 @@ _NOT_WRITTEN: dict[type, tuple[str, ...]] = {
 
 def write_verification(path: Path, verification: Verification) -> None:
     """Write verification.json, whole or not at all. Raises GtcalError where it can't be written."""
-    document = {"gtcal_verification": SCHEMA_VERSION, "conventions": CONVENTIONS, **_plain(verification)}
-    write_text(path, json.dumps(document, indent=1, allow_nan=False) + "\n")
+    write_text(path, json.dumps(verification_document(verification), indent=1, allow_nan=False) + "\n")
+
+
+def verification_document(verification: Verification) -> dict[str, Any]:
+    """As it stands in verification.json."""
+    return {"gtcal_verification": SCHEMA_VERSION, "conventions": CONVENTIONS, **_plain(verification)}
 
 
 def read_verification(path: Path) -> Verification:

@@ -49,6 +49,12 @@ def verify(
 ) -> Verification:
     """Verify a calibration with a recording of the Lollypop; cameras that have only images are detected first.
 
+        verification = gtcal.verify(gtcal.load_lollypop_recording("my_lollypop"), calibration)
+        verification.verdict                       # pass, fail or inconclusive, by the options' tolerances
+        verification.cameras["cam0"].px.rmse       # of e_2D, px; .mm of e_3D
+        verification                               # its tables; plot_heat_maps() draws
+
+    options: tolerances and confidence. progress: called as progress(what, done, of).
     inputs: files besides the recording's that the result rests on, for its provenance: the calibration's.
 
     Raises GtcalError with one line on what is wrong: the device is not in the recording, the tag's size is off by a

@@ -1,0 +1,123 @@
+"""Results at a prompt and in a notebook: their tables, pages, dictionaries, data frames and figures."""
+
+from __future__ import annotations
+
+import io
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+from calibration_support import HEADSET, simulated
+from matplotlib.figure import Figure
+
+import gtcal
+from gtcal.simulation.lollypop import LollypopOptions, simulate_lollypop
+
+
+@dataclass(frozen=True)
+class Results:
+    calibration: gtcal.Calibration
+    verification: gtcal.Verification
+    drift: gtcal.Drift
+    difference: gtcal.Difference
+
+
+@pytest.fixture(scope="module", name="results")
+def _results() -> Results:
+    simulation = simulated(HEADSET)
+    options = gtcal.CalibrationOptions(intrinsics="exact", mocap="exact", effects=False)
+    calibration = gtcal.calibrate(simulation.recording, options)
+    device = simulate_lollypop(LollypopOptions(n_frames=60, calibrated_in=simulation.scene), seed=1).recording
+    verification = gtcal.verify(device, calibration)
+    drift = gtcal.verify_series([("monday", device)], calibration)
+    return Results(calibration, verification, drift, gtcal.difference(calibration, calibration))
+
+
+EACH = pytest.mark.parametrize("which", ["calibration", "verification", "drift", "difference"])
+
+
+@EACH
+def test_it_prints_as_the_terminals_table(results: Results, which: str) -> None:
+    shown = repr(getattr(results, which))
+    assert str(getattr(results, which)) == shown
+    assert len(shown) < 8_000
+    assert "array(" not in shown
+    words = {"calibration": "reprojection residuals, px", "verification": "RMSE px", "difference": "± mm"}
+    assert words.get(which, "monday") in shown
+    names = results.calibration.cameras if which != "drift" else results.drift.cameras
+    assert all(name in shown for name in names)
+
+
+@EACH
+def test_its_html_holds_no_markup_of_the_results_own(results: Results, which: str) -> None:
+    page = getattr(results, which)._repr_html_()
+    frame = page.startswith("<iframe srcdoc=")
+    assert frame is (which in ("calibration", "verification"))  # the report's page, which styles nothing around it
+    assert page.count("<") <= 3
+    if frame:
+        assert "&lt;html" in page or "&lt;!doctype html" in page.lower()
+
+
+@EACH
+def test_its_dictionary_is_json(results: Results, which: str) -> None:
+    result = getattr(results, which)
+    assert json.loads(json.dumps(result.to_dict(), allow_nan=False)) == result.to_dict()
+
+
+def test_the_dictionary_of_a_calibration_is_its_file(results: Results, tmp_path: Path) -> None:
+    gtcal.write_calibration(tmp_path / "c.json", results.calibration)
+    assert json.loads((tmp_path / "c.json").read_text()) == json.loads(json.dumps(results.calibration.to_dict()))
+    read = gtcal.read_calibration(tmp_path / "c.json")
+    assert repr(read) == repr(results.calibration)
+
+
+def test_data_frames_hold_the_numbers(results: Results) -> None:
+    pandas = pytest.importorskip("pandas")
+    frame = results.calibration.to_pandas()
+    assert isinstance(frame, pandas.DataFrame)
+    assert list(frame.index) == list(results.calibration.cameras)
+    for name, camera in results.calibration.cameras.items():
+        row = frame.loc[name]
+        position_mm = row[["x_mm", "y_mm", "z_mm"]].astype(float)
+        np.testing.assert_allclose(position_mm, 1e3 * camera.camera_T_ref.position_of_a_in_b_m)
+        assert row["rmse_px"] == camera.residuals.rmse_px
+        assert row["fx"] == camera.camera.theta[0]
+    verified = results.verification.to_pandas()
+    for name, camera in results.verification.cameras.items():
+        assert (verified.loc[name, "rmse_px"], verified.loc[name, "verdict"]) == (camera.px.rmse, camera.verdict)
+    assert list(results.drift.to_pandas().index) == ["monday"] * len(results.drift.cameras)
+    assert len(results.difference.to_pandas()) == len(results.difference.changes)
+
+
+def test_figures_are_matplotlibs_and_can_be_saved(results: Results) -> None:
+    calibration, verification = results.calibration, results.verification
+    for figure in (
+        calibration.plot_cameras(),
+        calibration.plot_residuals("side_left"),
+        calibration.plot_residuals_over_time("side_left"),
+        calibration.plot_uncertainty("side_left", distance_m=0.7),
+        calibration.plot_volume_uncertainty(),
+        verification.plot_heat_maps(),
+        verification.plot_errors_over_time("side_left"),
+    ):
+        assert isinstance(figure, Figure)
+        file = io.BytesIO()
+        figure.savefig(file, format="png", dpi=30)
+        assert len(file.getvalue()) > 2_000
+
+
+def test_what_there_is_no_figure_of_is_said_in_a_line(results: Results, tmp_path: Path) -> None:
+    gtcal.write_calibration(tmp_path / "c.json", results.calibration)
+    read = gtcal.read_calibration(tmp_path / "c.json")
+    with pytest.raises(gtcal.GtcalError, match="read from a file, which holds no residuals"):
+        read.plot_residuals("side_left")
+    with pytest.raises(gtcal.GtcalError, match="there is no camera 'left'; cameras: front_left"):
+        results.calibration.plot_uncertainty("left")
+
+
+def test_every_public_name_is_in_the_packages_help() -> None:
+    assert gtcal.__doc__ is not None
+    assert not [name for name in gtcal.__all__ if name not in gtcal.__doc__]
+    assert set(gtcal.__all__) <= set(dir(gtcal))
