@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
-import gtsam
+from typing import TYPE_CHECKING
+
 import numpy as np
 import numpy.typing as npt
 
 from factors.kernel import kernel
+
+if TYPE_CHECKING:
+    import gtsam
 
 FloatArray = npt.NDArray[np.float64]
 
