@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import TYPE_CHECKING
 
-import gtsam
 import numpy as np
 import numpy.typing as npt
 
 from factors.kernel import kernel
+
+if TYPE_CHECKING:
+    import gtsam
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from detection_support import FISHEYE, PINHOLE, SHARP, Filmer, View
 
-import gtcal.detection.detect
+import gtcal.detection.many_images
 from gtcal.board import PAPER_A2, AprilGrid, ArucoGrid, Board, CharucoBoard
 from gtcal.camera import Camera
 from gtcal.detection.detect import DETECTOR, cached_detect, detect, detect_view
@@ -347,7 +347,7 @@ def no_detection(monkeypatch: pytest.MonkeyPatch) -> Callable[[], None]:
         def fail(*_: object, **__: object) -> None:
             raise AssertionError("detected again")
 
-        monkeypatch.setattr(gtcal.detection.detect, "look_at", fail)
+        monkeypatch.setattr(gtcal.detection.many_images, "see_board", fail)
 
     return forbid
 

@@ -162,8 +162,8 @@ def test_a_camera_without_a_solvable_view_gives_none() -> None:
     assert found.median_px.shape == (0, 2)
 
 
-def test_many_views_on_all_cores_are_solved_as_few_are() -> None:
-    """From 64 views on PnP runs in parallel. How far a pose is refined may depend on the others, but hardly."""
+def test_many_views_are_solved_as_few_are() -> None:
+    """How far a pose is refined may depend on the others, but hardly."""
     views = views_of(HEADSET, "front_left", frames=120)
     assert views.n_views > 70
     together = solve_pnp(views, max_views=ALL)

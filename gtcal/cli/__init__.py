@@ -12,7 +12,6 @@ import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext, redirect_stdout
 from importlib import import_module
-from importlib.metadata import version
 from pathlib import Path
 from textwrap import fill
 
@@ -76,6 +75,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(_overview())
         return 0 if given else EXIT_USAGE
     if given[0] == "--version":
+        from importlib.metadata import version
+
         print(f"gtcal {version('gtcal')}")
         return 0
     if given[0] not in COMMANDS:

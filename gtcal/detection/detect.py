@@ -68,17 +68,19 @@ def detect(
     *,
     progress: Progress = silent,
     workers: int | None = None,
+    of_all: int | None = None,
 ) -> CameraDetections:
     """Find the board in every image, as ``detect_view`` does, or a Lollypop, on ``workers`` cores (default: all that
     there are). What is found does not depend on their number.
 
     camera: where it has parameters, they help to predict corners. Views where the board isn't recognised are left
-    out; where that is all of them, a warning of the logger "gtcal" says what was seen instead.
+    out; where that is all of them, a warning of the logger "gtcal" says what was seen instead. of_all: how many images
+    there are to detect in, where these are a part of them: many are worth processes, few are looked at in threads.
 
     Images that can't be read are left out, and a warning says how many.
 
     Raises GtcalError where more than MOST_UNREADABLE of them can't, or one isn't of the camera's size."""
-    found, warning = _detect(images, board, camera, progress, workers)
+    found, warning = _detect(images, board, camera, progress, workers, of_all=of_all)
     if warning:
         _log.warning("%s", warning)
     return found

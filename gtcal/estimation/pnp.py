@@ -7,9 +7,6 @@ refined on the pixels of the real one. A planar board leaves two poses; both are
 
 from __future__ import annotations
 
-import os
-from collections.abc import Callable, Iterable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import cv2
@@ -30,7 +27,6 @@ MAX_OFF_MEAN_RAD = np.deg2rad(75.0)
 _REFINEMENT = RobustKernel("Cauchy", 2.0)  # px: a wrong tag must not turn its view's pose
 _REFINEMENT_STEPS = 8
 _ENOUGH, _FEW = 1e-3, 0.05  # done where fewer views than this share still gain more than this share of their loss
-_PARALLEL_FROM_VIEWS = 64
 _THINNEST_M = 1e-9
 
 
@@ -110,17 +106,10 @@ def _ippe(views: Views) -> tuple[BoolArray, FloatArray]:
         rows = slice(views.view_start[v], views.view_start[v + 1])
         return _ippe_of_view(views.corners_m[rows][valid[rows]], bearings[rows][valid[rows]])
 
-    poses = list(_mapped(one, range(views.n_views)))
+    poses = [one(v) for v in range(views.n_views)]  # in threads it takes longer: it is half Python
     solved = np.array([pose is not None for pose in poses], dtype=bool)
     found = [pose for pose in poses if pose is not None]
     return solved, np.stack(found) if found else np.empty((0, 2, 4, 4))
-
-
-def _mapped(one: Callable[[int], FloatArray | None], indices: range) -> Iterable[FloatArray | None]:
-    if len(indices) < _PARALLEL_FROM_VIEWS:
-        return map(one, indices)
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
-        return list(pool.map(one, indices, chunksize=16))
 
 
 def _ippe_of_view(corners_m: FloatArray, bearings: FloatArray) -> FloatArray | None:
