@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from factors.rigid import inverse
-from gtcal.baselines.dornaika_horaud import dornaika_horaud
-from gtcal.baselines.hand_eye import park_martin, shah, tsai_lenz
+from gtcal.baselines.closed_forms import CLOSED_FORMS, PoseMethod
 from gtcal.baselines.marker_file import read_marker_sightings
 from gtcal.baselines.markers import calibrate_on_markers
 from gtcal.baselines.pose_pairs import PosePairs, pose_pairs
@@ -32,12 +31,6 @@ from gtcal.workflow import calibrate
 
 JOINT = "joint: stages 1 to 4"
 PAPER = "joint: stages 1 to 3, as the paper"
-CLOSED_FORMS = {
-    "Tsai-Lenz (AX = XB)": tsai_lenz,
-    "Park-Martin (AX = XB)": park_martin,
-    "Shah (AX = ZB)": shah,
-    "Dornaika-Horaud (poses)": dornaika_horaud,
-}
 MARKERS = "P3P on markers"
 STURM = {"Sturm, least squares": False, "Sturm, Huber": True}
 
@@ -134,7 +127,7 @@ def _calibrated(
 
 
 def _from_poses(
-    method: Callable[[Mapping[str, PosePairs]], tuple[FloatArray, dict[str, FloatArray]]],
+    method: PoseMethod,
     pairs: Mapping[str, PosePairs],
     joint: Calibration,
 ) -> Estimate:

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from gtcal.baselines.compare import Compared
-    from gtcal.estimation.options import IntrinsicsMode
+    from gtcal.estimation.options import CalibrationOptions, IntrinsicsMode
 
 
 def compare(
@@ -28,10 +28,11 @@ def compare(
 ) -> None:
     """Calibrate a recording by the joint solution and by other methods, and compare.
 
-    The paper's three stages without the mocap's noise; the closed forms of Tsai-Lenz, Park-Martin and Shah and the
-    nonlinear method of Dornaika-Horaud, all from PnP poses; Sturm's with a measured board-to-body transform; and P3P on
-    retroreflective markers seen in the image. Judged by the reprojection RMSE on the board's views that the joint
-    solution keeps and, much better, by a second recording of the Lollypop.
+    The paper's three stages without the mocap's noise; the closed forms of Tsai-Lenz, Park-Martin, Daniilidis, Zhuang,
+    Shah and Li and the nonlinear method of Dornaika-Horaud, all from PnP poses; Sturm's with a measured board-to-body
+    transform; and P3P on retroreflective markers seen in the image. Judged by the reprojection RMSE on the board's
+    views that the joint solution keeps and, much better, by a second recording of the Lollypop. Of a recording of poses
+    in place of corners, the methods on poses against the joint estimate on SE(3).
 
     Args:
         recording: Folder with the manifest (recording.yaml or recording.json), or the manifest itself.
@@ -55,6 +56,7 @@ def compare(
     from gtcal.estimation.options import CalibrationOptions
     from gtcal.estimation.priors_file import read_priors
     from gtcal.files import check_outputs
+    from gtcal.pose_recordings.recording import holds_poses
     from gtcal.recordings.recording import load_recording
     from gtcal.verification.lollypop_recording import load_lollypop_recording
 
@@ -66,6 +68,11 @@ def compare(
         body_T_board = prior.a_T_b
     mode: IntrinsicsMode = "calibrate" if calibrate_intrinsics else "auto"
     options = CalibrationOptions(intrinsics=mode, clock=clock, seed=seed)
+    if holds_poses(recording):
+        if lollypop or measured_x or markers or output or calibrate_intrinsics or clock != "trust":
+            raise GtcalError(f"{recording}: has poses in place of corners, which are compared without any option")
+        _compare_poses(recording, options, quiet)
+        return
     loaded = load_recording(recording)
     device = load_lollypop_recording(lollypop) if lollypop is not None else None
     read = [path for path in (measured_x, markers) if path is not None]
@@ -86,6 +93,20 @@ def compare(
         console.print("Sturm's method is left out: it needs --measured-x", highlight=False)
     if output is not None:
         console.print(f"written: {output}", highlight=False)
+
+
+def _compare_poses(recording: Path, options: CalibrationOptions, quiet: bool) -> None:
+    from gtcal.cli.pose_tables import closed_form_table
+    from gtcal.cli.progress import shown_progress
+    from gtcal.cli.terminal import Terminal
+    from gtcal.pose_recordings.calibration import calibrate_pose_recording
+    from gtcal.pose_recordings.recording import load_pose_recording
+
+    loaded = load_pose_recording(recording)
+    with shown_progress(quiet) as progress:
+        found = calibrate_pose_recording(loaded, options, progress=progress)
+    if not quiet:
+        Terminal().print(closed_form_table(found.closed_forms))
 
 
 def _table(found: tuple[Compared, ...]) -> Table:
