@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import textwrap
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,15 +14,20 @@ import yaml
 from factors import CAMERA_MODELS
 from gtcal.board import BOARD_TYPES, PRESETS, Board, TaggedBoard, board_from_manifest
 from gtcal.detection.board_guess import BoardGuess, guess_board
+from gtcal.detection.plain_guess import PlainGuess, guess_plain_board
 from gtcal.errors import GtcalError
 from gtcal.overview.mocap_files import MocapBody
 from gtcal.overview.survey import FoundBoard, FoundCamera, Survey
+from gtcal.readers import pose_list
 from gtcal.recordings.capture import Capture
 from gtcal.recordings.images import relative
 from gtcal.recordings.open_questions import OPEN
 
 _WIDTH = 116
-_PLATFORM = re.compile(r"(platform|headset|hmd|rig|body|camera|cams?\b|glasses|quest|aria|vicon|mocap)")
+_PLATFORM = re.compile(
+    r"(platform|headset|hmd|rig|body|camera|cams?\b|glasses|quest|aria|vicon|mocap|wrist|flange|gripper|hand|robot|\barm|"
+    r"tool|tcp|effector)"
+)
 _BOARD = re.compile(r"(board|target|grid|april|aruco|tags?\b|checker)")
 _BODY_QUESTIONS = {
     "quaternion": "In which order are the quaternion's numbers, xyzw or wxyz? The file doesn't say.",
@@ -30,6 +35,7 @@ _BODY_QUESTIONS = {
     "time_unit": "Are the time stamps in ns, us, ms or s? The file doesn't say.",
     "rotation": "How are rotations written? The file doesn't say; 'gtcal schema' lists the choices.",
     "rate_hz": "How many frames a second were taken? The file numbers frames only.",
+    "angle_unit": "Are the angles in deg or in rad? The file doesn't say.",
 }
 _CAPTURES = (
     "fixed_cameras (the cameras stand, the board is tracked), tracked_platform (rig or headset and board are tracked) "
@@ -59,16 +65,39 @@ def draft(found: Survey, manifest: Path) -> Draft:
         "it; until then the manifest does not load."
     )
     lines.put("gtcal_recording", 1)
+    numbered = _is_numbered(found)
+    if numbered:
+        lines.say("Names and poses have numbers and no times: one pose for each image.")
+        lines.put("numbered", True)
+    else:
+        found = _without_lists(found)
     roles = _roles(found.bodies)
     lines.blank()
     _write_capture(lines, roles, found.bodies)
     lines.blank()
     _write_board(lines, found)
     lines.blank()
-    _write_cameras(lines, found)
+    _write_cameras(lines, found, numbered)
     _write_bodies(lines, roles, found.bodies)
     _write_left(lines, found, roles)
     return Draft("\n".join(lines.text) + "\n", tuple(lines.questions))
+
+
+def _is_numbered(found: Survey) -> bool:
+    """Whether all cameras go by number, and poses without time are there."""
+    listed = any(body.format == pose_list.FORMAT for body in found.bodies)
+    return bool(found.cameras) and all(camera.numbered for camera in found.cameras) and listed
+
+
+def _without_lists(found: Survey) -> Survey:
+    """Poses without time are of no use to images with it."""
+    bodies = tuple(body for body in found.bodies if body.format != pose_list.FORMAT)
+    listed = [body for body in found.bodies if body.format == pose_list.FORMAT]
+    left = tuple(
+        f"{relative(body.path, found.folder)}: {body.n_samples} poses without time, but not all images go by number"
+        for body in listed
+    )
+    return replace(found, bodies=bodies, left=(*found.left, *left))
 
 
 class _Lines:
@@ -147,11 +176,16 @@ def _write_capture(lines: _Lines, roles: dict[str, list[MocapBody]], bodies: tup
 
 def _write_board(lines: _Lines, found: Survey) -> None:
     guess = _guess(found.cameras)
+    plain = _plain_guess(found.cameras) if guess is None and not found.boards else None
+    if guess is None and plain is None:
+        guess = _guess(found.cameras, thorough=True)
     usable = [board for board in found.boards if _is_valid(board)]
     if len(usable) == 1:
         where = relative(usable[0].path, lines.written_in)
         lines.say(f"From {where}.{_agrees(usable[0].block, guess)}")
         lines.put("board", usable[0].block)
+    elif guess is None and plain is not None:
+        _write_plain_guess(lines, plain)
     elif guess is None:
         several = " ".join(f"{relative(board.path, lines.written_in)} says {board.block}." for board in usable)
         lines.ask(
@@ -172,10 +206,37 @@ def _is_valid(board: FoundBoard) -> bool:
     return True
 
 
-def _guess(cameras: Iterable[FoundCamera]) -> BoardGuess | None:
+def _guess(cameras: Iterable[FoundCamera], *, thorough: bool = False) -> BoardGuess | None:
     """From the first camera that shows the board."""
-    guesses = (guess_board(camera.images) for camera in cameras if camera.images is not None)
+    guesses = (guess_board(camera.images, thorough=thorough) for camera in cameras if camera.images is not None)
     return next((guess for guess in guesses if guess is not None), None)
+
+
+def _plain_guess(cameras: Iterable[FoundCamera]) -> PlainGuess | None:
+    """From the first camera that shows a board without tags."""
+    guesses = (guess_plain_board(camera.images) for camera in cameras if camera.images is not None)
+    return next((guess for guess in guesses if guess is not None), None)
+
+
+def _write_plain_guess(lines: _Lines, guess: PlainGuess) -> None:
+    what = "square" if guess.kind == "chessboard" else "dot"
+    kind = "a chessboard" if what == "square" else f"{'an asymmetric' if guess.asymmetric else 'a'} grid of dots"
+    lines.say(
+        f"Images show {kind} of {guess.columns} x {guess.rows} {what}s; "
+        "there is no code in it: check which are columns and which rows of the upright print."
+    )
+    lines.enter("board")
+    lines.put("type", guess.kind)
+    lines.put(f"{what}_columns", guess.columns)
+    lines.put(f"{what}_rows", guess.rows)
+    if guess.asymmetric:
+        lines.put("asymmetric", True)
+    name, length = ("square_side_m", "the side of a square") if what == "square" else ("dot_pitch_m", _PITCH)
+    lines.ask(name, f"How long is {length}, in m? Measure it on the print, over several of them.")
+    lines.leave()
+
+
+_PITCH = "the way from a dot's centre to that of the next in its row"
 
 
 def _agrees(block: dict[str, Any], guess: BoardGuess | None) -> str:
@@ -255,17 +316,17 @@ def _could_be(board: Board, guess: BoardGuess) -> bool:
     return same_tags and guess.columns in (None, columns)
 
 
-def _write_cameras(lines: _Lines, found: Survey) -> None:
+def _write_cameras(lines: _Lines, found: Survey, numbered: bool) -> None:
     if not found.cameras:
         lines.ask("cameras", "Where are the cameras' images? None were found in this folder; see 'gtcal schema'.")
         return
     lines.enter("cameras")
     for camera in found.cameras:
-        _write_camera(lines, camera)
+        _write_camera(lines, camera, numbered)
     lines.leave()
 
 
-def _write_camera(lines: _Lines, camera: FoundCamera) -> None:
+def _write_camera(lines: _Lines, camera: FoundCamera, numbered: bool) -> None:
     lines.say(
         camera.what + ("" if camera.lens_from is None else f"; the lens is that of {lines.path(camera.lens_from)}")
     )
@@ -282,14 +343,15 @@ def _write_camera(lines: _Lines, camera: FoundCamera) -> None:
         if name != "model":
             lines.put(name, lines.path(value) if name in _PATH_FIELDS else value)
     for name, question in camera.asked.items():
-        lines.ask(name, question)
+        if not (numbered and name == "image_list"):
+            lines.ask(name, question)
     if camera.detections is not None:
         lines.say(f"Corners were found in {lines.path(camera.detections)}; to take them in place of detecting, add:")
         lines.say(f"detections: {lines.path(camera.detections)}")
     lines.leave()
 
 
-_PATH_FIELDS = ("images", "image_list", "video", "bag", "vrs")
+_PATH_FIELDS = ("images", "image_list", "video", "bag", "vrs", "detections")
 
 
 def _write_bodies(lines: _Lines, roles: dict[str, list[MocapBody]], bodies: tuple[MocapBody, ...]) -> None:
@@ -341,7 +403,7 @@ def _write_left(lines: _Lines, found: Survey, roles: dict[str, list[MocapBody]])
 
 def _times_apart(found: Survey) -> Iterable[str]:
     for camera in found.cameras:
-        if camera.images is None or "stamp_offset_ns" in camera.asked:
+        if camera.images is None or camera.numbered or "stamp_offset_ns" in camera.asked:
             continue
         first, last = int(camera.images.stamps_ns[0]), int(camera.images.stamps_ns[-1])
         spans = {body.called: body.span_ns for body in found.bodies if body.span_ns is not None}
