@@ -12,6 +12,8 @@ import pytest
 
 from gtcal.board import (
     BOARD_TYPES,
+    CHESSBOARD_A2,
+    DOTS_A2,
     PAPER_A2,
     AprilGrid,
     ArucoGrid,
@@ -194,7 +196,7 @@ def test_the_schema_knows_every_type_and_field() -> None:
     preset, *types = board_manifest_schema()["oneOf"]
     assert preset["properties"]["preset"]["enum"] == ["paper_a2", "chessboard", "dots"]
     assert [t["properties"]["type"]["const"] for t in types] == list(BOARD_TYPES)
-    for schema, board in zip(types, (PLAIN, APRIL, CHARUCO), strict=True):
+    for schema, board in zip(types, (PLAIN, APRIL, CHARUCO, CHESSBOARD_A2, DOTS_A2), strict=True):
         assert set(board.to_manifest()) == set(schema["properties"])
         least = {name: value for name, value in board.to_manifest().items() if name in schema["required"]}
         assert type(board_from_manifest(least)) is type(board)

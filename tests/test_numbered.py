@@ -12,7 +12,9 @@ from support import replace_once
 
 from gtcal.errors import GtcalError
 from gtcal.estimation.options import CalibrationOptions
+from gtcal.overview.draft import draft
 from gtcal.overview.summary import summarise
+from gtcal.overview.survey import survey
 from gtcal.readers.pose_list import write_pose_list
 from gtcal.recordings.images import numbered_folder
 from gtcal.recordings.numbering import number_of_name, numbers_of, stamps_of
@@ -182,6 +184,29 @@ def arm_as_it_is(data: Path, folder: Path) -> Path:
         f"{DOTS}{camera}platform: {{trajectory: wrist.txt, format: pose_list, quaternion: xyzw, length_unit: m}}\n"
     )
     return folder
+
+
+def test_init_drafts_the_arms_recording(shared: Callable[[str], Path], tmp_path: Path) -> None:
+    folder = arm_as_it_is(shared("data/robot_arm_dots"), tmp_path / "arm")
+    by_hand = (folder / "recording.yaml").read_text()
+    (folder / "recording.yaml").unlink()
+    drafted = draft(survey(folder), folder / "recording.yaml").text
+    camera = by_hand.split("    model")[1].split("    detections")[0]
+    lens = camera.split("parameters: ")[1].strip()
+    answers = {
+        "board: QUESTION": DOTS.splitlines()[3],
+        "    model: QUESTION": f"    model{camera.split('    image_size_px')[0].rstrip()}",
+        "    image_size_px: QUESTION": f"    parameters: {lens}\n    image_size_px: [640, 480]",
+        "length_unit: QUESTION": "length_unit: m",
+        "quaternion: QUESTION": "quaternion: xyzw",
+    }
+    for asked, answer in answers.items():
+        assert asked in drafted
+        drafted = drafted.replace(asked, answer)
+    (folder / "recording.yaml").write_text(drafted)
+    found = load_recording(folder)
+    assert found.numbered
+    assert found.detections["cam0"].n_views == 15
 
 
 def test_a_robot_arms_dots_as_what_they_are(shared: Callable[[str], Path], tmp_path: Path) -> None:

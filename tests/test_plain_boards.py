@@ -9,21 +9,25 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+import yaml
 from scipy.spatial.transform import Rotation
 
 from factors import PINHOLE_RADTAN
 from factors.rigid import inverse
 from gtcal.board import Board, board_from_manifest
 from gtcal.camera import Camera, FloatArray
+from gtcal.detection.plain_guess import PlainGuess, guess_plain_board
 from gtcal.detection.view_detection import see_board
 from gtcal.drawing import board_texture, draw_board
 from gtcal.errors import GtcalError
 from gtcal.estimation.observations import board_turns, synchronise
 from gtcal.estimation.options import CalibrationOptions
 from gtcal.estimation.told_apart import told_apart
+from gtcal.overview.draft import draft
+from gtcal.overview.survey import survey
 from gtcal.plain_boards import Chessboard, DotGrid
 from gtcal.recordings.detections import CameraDetections
-from gtcal.recordings.images import GreyImage
+from gtcal.recordings.images import GreyImage, numbered_folder
 from gtcal.recordings.recording import Recording
 from gtcal.simulation import SimulationOptions, simulate
 
@@ -143,6 +147,27 @@ def test_another_board_is_not_taken_for_it() -> None:
     assert not len(see_board(image, Chessboard(8, 6, 0.03)).corner_ids)
     assert not len(see_board(image, DotGrid(8, 6, 0.03)).corner_ids)
     assert not len(see_board(np.full((480, 640), 128, dtype=np.uint8), Chessboard(9, 6, 0.03)).corner_ids)
+
+
+@pytest.mark.parametrize(
+    ("board", "expected"),
+    [
+        (Chessboard(9, 6, 0.03), PlainGuess("chessboard", 9, 6, asymmetric=False)),
+        (DotGrid(8, 6, 0.03), PlainGuess("dot_grid", 8, 6, asymmetric=False)),
+    ],
+    ids=["chessboard", "dots"],
+)
+def test_init_counts_squares_and_dots(board: Board, expected: PlainGuess, tmp_path: Path) -> None:
+    (tmp_path / "cam0").mkdir()
+    for number in range(2):
+        cv2.imwrite(str(tmp_path / "cam0" / f"frame_{number}.png"), _picture(board, 10.0))
+    assert guess_plain_board(numbered_folder(tmp_path / "cam0")) == expected
+    (tmp_path / "wrist.txt").write_text("\n".join(["1 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1"] * 2) + "\n")
+    fields = yaml.safe_load(draft(survey(tmp_path), tmp_path / "recording.yaml").text)
+    assert fields["numbered"] is True
+    assert fields["board"]["type"] == expected.kind
+    assert fields["platform"] == {"trajectory": "wrist.txt", "format": "pose_list", "length_unit": "QUESTION"}
+    assert "image_list" not in fields["cameras"]["cam0"]
 
 
 def _turned_at_random(recording: Recording, seed: int) -> Recording:

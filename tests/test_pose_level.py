@@ -9,7 +9,7 @@ from factors_support import numeric_derivative
 
 from factors.rigid import inverse
 from gtcal import GtcalError, calibrate_poses
-from gtcal.estimation.pose_level import PoseLevel, _Absolute, _settled, _Steps
+from gtcal.estimation.pose_level import AbsolutePoses, PoseLevel, PoseSteps, _settled
 
 
 def random_pose(random: np.random.Generator, turn: float, shift_m: float) -> np.ndarray:
@@ -61,8 +61,8 @@ class Arm:
 NOISE = (0.004, (0.001, 0.001, 0.004))
 
 
-@pytest.mark.parametrize("model", [_Absolute, _Steps])
-def test_the_jacobians_are_numeric_ones(model: type[_Absolute] | type[_Steps]) -> None:
+@pytest.mark.parametrize("model", [AbsolutePoses, PoseSteps])
+def test_the_jacobians_are_numeric_ones(model: type[AbsolutePoses] | type[PoseSteps]) -> None:
     arm = Arm(0, 6)
     found = model(arm.ref_T_body, arm.measured(0.1, (0.1, 0.1, 0.1)))
     Y, X = random_pose(arm.random, 1.0, 1.0), random_pose(arm.random, 1.0, 1.0)
@@ -111,7 +111,7 @@ def test_poses_that_drift_are_taken_by_their_steps() -> None:
     drifted = np.stack(seen)
     found = calibrate_poses(arm.ref_T_body, drifted)
     assert found.noise.drifts
-    as_absolute = _settled(_Absolute(arm.ref_T_body, drifted), (arm.Y, arm.X))
+    as_absolute = _settled(AbsolutePoses(arm.ref_T_body, drifted), (arm.Y, arm.X))
     assert arm.error_mm(found) < 0.5 * arm.error_mm(as_absolute)
     assert not calibrate_poses(arm.ref_T_body, arm.measured(*NOISE)).noise.drifts
 

@@ -11,8 +11,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from factors.rigid import inverse
-from gtcal.baselines.dornaika_horaud import dornaika_horaud
-from gtcal.baselines.hand_eye import park_martin, shah, tsai_lenz
+from gtcal.baselines.closed_forms import CLOSED_FORMS
 from gtcal.baselines.marker_file import read_marker_sightings
 from gtcal.baselines.markers import calibrate_on_markers
 from gtcal.baselines.pose_pairs import PosePairs, pose_pairs
@@ -34,12 +33,6 @@ from gtcal.workflow import calibrate
 
 JOINT = "joint: stages 1 to 4"
 PAPER = "joint: stages 1 to 3, as the paper"
-CLOSED_FORMS = {
-    "Tsai-Lenz (AX = XB)": tsai_lenz,
-    "Park-Martin (AX = XB)": park_martin,
-    "Shah (AX = ZB)": shah,
-    "Dornaika-Horaud (poses)": dornaika_horaud,
-}
 MARKERS = "P3P on markers"
 STURM = {"Sturm, least squares": False, "Sturm, Huber": True}
 _BLOCKS = 10

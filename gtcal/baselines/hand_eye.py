@@ -6,7 +6,7 @@ A' X = X B' (hand-eye), A' = A_i^-1 A_j, B' = B_i^-1 B_j.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -49,6 +49,13 @@ def shah(pairs: Mapping[str, PosePairs]) -> tuple[FloatArray, dict[str, FloatArr
     rotations = [part.reshape(3, 3).T for part in parts]  # vec stacks columns
     sign = np.sign(np.linalg.det(rotations[0]))
     R_X, *R_Z = (nearest_rotation(sign * rotation) for rotation in rotations)
+    return translations(pairs, R_X, R_Z)
+
+
+def translations(
+    pairs: Mapping[str, PosePairs], R_X: FloatArray, R_Z: Sequence[FloatArray]
+) -> tuple[FloatArray, dict[str, FloatArray]]:
+    """X and each camera_T_ref of A X = Z_c B for known rotations, by linear least squares."""
     rows, sides = [], []
     for c, (pair, rotation) in enumerate(zip(pairs.values(), R_Z, strict=True)):
         block = np.zeros((len(pair.ref_T_body), 3, 3 + 3 * len(pairs)))
@@ -57,8 +64,8 @@ def shah(pairs: Mapping[str, PosePairs]) -> tuple[FloatArray, dict[str, FloatArr
         rows.append(block.reshape(-1, block.shape[2]))
         sides.append((pair.camera_T_board[:, :3, 3] @ rotation.T - pair.ref_T_body[:, :3, 3]).ravel())
     found = np.linalg.lstsq(np.concatenate(rows), np.concatenate(sides), rcond=None)[0].reshape(-1, 3)
-    cameras = {name: inverse(_rigid(R_Z[c], found[1 + c])) for c, name in enumerate(pairs)}
-    return _rigid(R_X, found[0]), cameras
+    cameras = {name: inverse(rigid(R_Z[c], found[1 + c])) for c, name in enumerate(pairs)}
+    return rigid(R_X, found[0]), cameras
 
 
 def cameras_given_board(body_T_board: FloatArray, pairs: Mapping[str, PosePairs]) -> dict[str, FloatArray]:
@@ -68,7 +75,7 @@ def cameras_given_board(body_T_board: FloatArray, pairs: Mapping[str, PosePairs]
         ref_T_camera = pair.ref_T_body @ body_T_board @ inverse(pair.camera_T_board)
         rotation = nearest_rotation(np.asarray(ref_T_camera[:, :3, :3].sum(axis=0), dtype=np.float64))
         position_m = np.asarray(np.median(ref_T_camera[:, :3, 3], axis=0), dtype=np.float64)
-        cameras[name] = inverse(_rigid(rotation, position_m))
+        cameras[name] = inverse(rigid(rotation, position_m))
     return cameras
 
 
@@ -86,7 +93,7 @@ def _with_translation(rotation: FloatArray, A: FloatArray, B: FloatArray) -> Flo
     """X with (R_A - I) t_X = R_X t_B - t_A in least squares."""
     rows = (A[:, :3, :3] - np.eye(3)).reshape(-1, 3)
     right = (B[:, :3, 3] @ rotation.T - A[:, :3, 3]).ravel()
-    return _rigid(rotation, np.linalg.lstsq(rows, right, rcond=None)[0].astype(np.float64))
+    return rigid(rotation, np.linalg.lstsq(rows, right, rcond=None)[0].astype(np.float64))
 
 
 def _half_sine_axes(rotations: FloatArray) -> FloatArray:
@@ -96,7 +103,8 @@ def _half_sine_axes(rotations: FloatArray) -> FloatArray:
     return np.asarray(2.0 * np.sin(0.5 * angles) * vectors / angles)
 
 
-def _rigid(rotation: FloatArray, translation: FloatArray) -> FloatArray:
+def rigid(rotation: FloatArray, translation: FloatArray) -> FloatArray:
+    """(4, 4)."""
     matrix = np.eye(4)
     matrix[:3, :3], matrix[:3, 3] = rotation, translation
     return matrix

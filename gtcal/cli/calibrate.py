@@ -8,9 +8,11 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from factors import RobustKernel
     from gtcal.differences.carried_over import EarlierCalibration, Part
-    from gtcal.estimation.options import IntrinsicsMode, MocapSigmas
+    from gtcal.estimation.options import CalibrationOptions, IntrinsicsMode, MocapSigmas
     from gtcal.progress import Progress
     from gtcal.recordings.recording import Recording
     from gtcal.results.calibration import Calibration
@@ -153,6 +155,7 @@ def calibrate(
     from gtcal.estimation.priors import Priors
     from gtcal.estimation.priors_file import read_priors
     from gtcal.files import check_outputs
+    from gtcal.pose_recordings.recording import holds_poses
     from gtcal.recordings.recording import load_recording
     from gtcal.results.calibration_file import write_calibration
     from gtcal.workflow import calibrate_jointly
@@ -182,6 +185,10 @@ def calibrate(
         seed=seed,
         allow_degenerate=allow_degenerate,
     )
+    if holds_poses(recording):
+        asked = {"report": report, "priors": priors, "from": from_, "more than one recording": more or None}
+        _calibrate_poses(recording, options, output, asked, verbose=verbose, quiet=quiet)
+        return
     loaded = [load_recording(path) for path in (recording, *more)]
     earlier = None if from_ is None else _earlier(from_, from_parts, from_days, from_growth)
     read = [file for one in loaded for file in one.files] + [path for path in (priors, from_) if path is not None]
@@ -194,6 +201,48 @@ def calibrate(
     if not quiet:
         print_calibration(calibration, notes=[note for one in loaded for note in one.notes], verbose=verbose)
         print(f"written: {output}" + (f", {report}" if report is not None else ""))
+
+
+def _calibrate_poses(
+    recording: Path,
+    options: CalibrationOptions,
+    output: Path,
+    asked: Mapping[str, object],
+    *,
+    verbose: bool,
+    quiet: bool,
+) -> None:
+    """Of a recording of poses in place of corners. asked: options given as None where they are not.
+
+    Raises GtcalError for what needs corners."""
+    from dataclasses import fields
+
+    from gtcal.cli.pose_tables import print_pose_calibration
+    from gtcal.cli.progress import shown_progress
+    from gtcal.errors import GtcalError
+    from gtcal.estimation.options import CalibrationOptions
+    from gtcal.files import check_outputs
+    from gtcal.pose_recordings.calibration import calibrate_pose_recording
+    from gtcal.pose_recordings.calibration_file import write_pose_calibration
+    from gtcal.pose_recordings.recording import load_pose_recording
+
+    plain, count = CalibrationOptions(), {"seed", "eps", "max_iterations", "allow_degenerate", "priors"}
+    given = [name for name, value in asked.items() if value is not None]
+    given += [
+        f.name for f in fields(options) if f.name not in count and getattr(options, f.name) != getattr(plain, f.name)
+    ]
+    if given:
+        raise GtcalError(
+            f"{recording}: has poses in place of corners, which have no use for {', '.join(given)}: leave it out"
+        )
+    loaded = load_pose_recording(recording)
+    check_outputs((output,), loaded.files)
+    with shown_progress(quiet) as progress:
+        found = calibrate_pose_recording(loaded, options, progress=progress)
+    write_pose_calibration(output, found)
+    if not quiet:
+        print_pose_calibration(found, notes=loaded.notes, verbose=verbose)
+        print(f"written: {output}")
 
 
 def _earlier(

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from gtcal.baselines.compare import Compared
-    from gtcal.estimation.options import IntrinsicsMode
+    from gtcal.estimation.options import CalibrationOptions, IntrinsicsMode
 
 
 def compare(
@@ -28,11 +28,12 @@ def compare(
 ) -> None:
     """Calibrate a recording by the joint solution and by other methods, and compare.
 
-    The paper's three stages without the mocap's noise; the closed forms of Tsai-Lenz, Park-Martin and Shah and the
-    nonlinear method of Dornaika-Horaud, all from PnP poses; Sturm's with a measured board-to-body transform; and P3P on
-    retroreflective markers seen in the image. Judged by the reprojection RMSE on the board's views that the joint
-    solution keeps and, much better, by a second recording of the Lollypop; by the truth where ground_truth.json is
-    beside a simulated recording.
+    The paper's three stages without the mocap's noise; the closed forms of Tsai-Lenz, Park-Martin, Daniilidis, Zhuang,
+    Shah and Li and the nonlinear method of Dornaika-Horaud, all from PnP poses; Sturm's with a measured board-to-body
+    transform; and P3P on retroreflective markers seen in the image. Judged by the reprojection RMSE on the board's
+    views that the joint solution keeps and, much better, by a second recording of the Lollypop; by the truth where
+    ground_truth.json is beside a simulated recording. Of a recording of poses in place of corners, the methods on poses
+    against the joint estimate on SE(3).
 
     Args:
         recording: Folder with the manifest (recording.yaml or recording.json), or the manifest itself.
@@ -56,6 +57,7 @@ def compare(
     from gtcal.estimation.options import CalibrationOptions
     from gtcal.estimation.priors_file import read_priors
     from gtcal.files import check_outputs
+    from gtcal.pose_recordings.recording import holds_poses
     from gtcal.recordings.recording import load_recording
     from gtcal.simulation import read_ground_truth
     from gtcal.verification.lollypop_recording import load_lollypop_recording
@@ -68,6 +70,11 @@ def compare(
         body_T_board = prior.a_T_b
     mode: IntrinsicsMode = "calibrate" if calibrate_intrinsics else "auto"
     options = CalibrationOptions(intrinsics=mode, clock=clock, seed=seed)
+    if holds_poses(recording):
+        if lollypop or measured_x or markers or output or calibrate_intrinsics or clock != "trust":
+            raise GtcalError(f"{recording}: has poses in place of corners, which are compared without any option")
+        _compare_poses(recording, options, quiet)
+        return
     loaded = load_recording(recording)
     beside = _truth_beside(loaded.path)
     truth = None if beside is None else read_ground_truth(beside.parent)
@@ -98,6 +105,20 @@ def _truth_beside(manifest: Path | None) -> Path | None:
 
     path = None if manifest is None else manifest.parent / GROUND_TRUTH_NAME
     return path if path is not None and path.is_file() else None
+
+
+def _compare_poses(recording: Path, options: CalibrationOptions, quiet: bool) -> None:
+    from gtcal.cli.pose_tables import closed_form_table
+    from gtcal.cli.progress import shown_progress
+    from gtcal.cli.terminal import Terminal
+    from gtcal.pose_recordings.calibration import calibrate_pose_recording
+    from gtcal.pose_recordings.recording import load_pose_recording
+
+    loaded = load_pose_recording(recording)
+    with shown_progress(quiet) as progress:
+        found = calibrate_pose_recording(loaded, options, progress=progress)
+    if not quiet:
+        Terminal().print(closed_form_table(found.closed_forms))
 
 
 def _table(found: tuple[Compared, ...]) -> Table:

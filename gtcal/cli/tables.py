@@ -93,10 +93,10 @@ def pose_table(calibration: Calibration) -> Table:
     for name, camera in calibration.cameras.items():
         pose = camera.camera_T_ref
         sigmas = _largest(pose.position_of_a_in_b_sigma_mm, 3), _largest(pose.rotation_sigma_deg, 4)
-        table.add_row(name, _vector(1e3 * pose.position_of_a_in_b_m), "ref", *sigmas)
+        table.add_row(name, vector(1e3 * pose.position_of_a_in_b_m), "ref", *sigmas)
     pose = calibration.body_T_board
     sigmas = _largest(pose.position_of_b_in_a_sigma_mm, 3), _largest(pose.rotation_sigma_deg, 4)
-    table.add_row("board", _vector(1e3 * pose.a_T_b[:3, 3]), "body", *sigmas)
+    table.add_row("board", vector(1e3 * pose.a_T_b[:3, 3]), "body", *sigmas)
     return table
 
 
@@ -258,7 +258,8 @@ def detection_table(recording: Recording) -> Table:
     return table
 
 
-def _vector(components: FloatArray) -> str:
+def vector(components: FloatArray) -> str:
+    """As people read it."""
     return ", ".join(f"{component:.2f}" for component in components)
 
 

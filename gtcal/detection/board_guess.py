@@ -22,8 +22,12 @@ from gtcal.recordings.images import GreyImage, Images, read_if_whole
 _ARUCO = {bits: tuple(f"DICT_{bits}X{bits}_{n}" for n in (50, 100, 250, 1000)) for bits in (4, 5, 6, 7)}
 _APRILTAGS = ("DICT_APRILTAG_36h11", "DICT_APRILTAG_36h10", "DICT_APRILTAG_25h9", "DICT_APRILTAG_16h5")
 _KALIBR_BORDER = 2
+_USUAL = [(members[-1], 1) for members in _ARUCO.values()] + [(_APRILTAGS[0], 1), (_APRILTAGS[0], _KALIBR_BORDER)]
 # All dictionaries are tried on a few images, the one that is found on more.
-_FEW_IMAGES, _MOST_IMAGES = 8, 40
+_FEW_IMAGES, _MOST_IMAGES, _FEWEST_IMAGES = 8, 40, 4
+# Threshold in grey levels and enlargement, the next where the ones before read nothing: the small tags of a ChArUco
+# board, or of a board far away, need what ``gtcal.detection.tags`` tries too.
+_PASSES = ((7, 1), (25, 1), (7, 2), (3, 2))
 # Fewer tags are read by chance in any picture.
 _FEWEST_TAGS = 3
 _SURE_TAGS, _FEWEST_TO_ARRANGE, _MOST_COLUMNS = 8, 6, 40
@@ -89,17 +93,18 @@ class _Arranged:
         return float(np.median(self.rms)) if self.rms else np.inf
 
 
-def guess_board(images: Images) -> BoardGuess | None:
+def guess_board(images: Images, *, thorough: bool = False) -> BoardGuess | None:
     """From some images, evenly spread, those that can't be read left out. None where none shows three tags of one
-    dictionary.
+    dictionary. thorough: look for small and faint tags too, as the detector does, which takes its time.
 
     Raises GtcalError where an image is of another size."""
-    code = _best_code(list(_whole(images, _FEW_IMAGES)))
-    if code is None:
+    passes = _PASSES if thorough else _PASSES[:1]
+    reading = next((one for how in passes if (one := _first_reading(images, how)) is not None), None)
+    if reading is None:
         return None
-    family, border = code
+    (family, border), how = reading
     shown = _whole(images, _MOST_IMAGES)
-    seen = [found for image in shown if len((found := _read(image, family, border)).ids)]
+    seen = [found for image in shown if len((found := _read(image, family, border, how)).ids)]
     counts = Counter(int(i) for found in seen for i in found.ids)
     # An id read once in many images is a misreading where others are read over and over.
     often = 1 if len(seen) < 4 else 2
@@ -119,11 +124,18 @@ def guess_lone_tag(images: Images) -> LoneTag | None:
     for dictionary, border in _codes():
         if border == _KALIBR_BORDER:  # such tags are of grids
             continue
-        ids = Counter(int(i) for image in shown for i in set(_read(image, dictionary, border).ids.tolist()))
+        ids = Counter(int(i) for image in shown for i in set(_read(image, dictionary, border, _PASSES[0]).ids.tolist()))
         often = [tag for tag, count in ids.items() if count >= _FEWEST_SIGHTINGS]
         if often:
             return LoneTag(_smallest(dictionary, often[0]), often[0]) if len(often) == 1 else None
     return None
+
+
+def _first_reading(images: Images, how: tuple[int, int]) -> tuple[tuple[str, int], tuple[int, int]] | None:
+    first = how == _PASSES[0]
+    codes = list(_codes()) if first else _USUAL
+    code = _best_code(list(_whole(images, _FEW_IMAGES if first else _FEWEST_IMAGES)), codes, how)
+    return None if code is None else (code, how)
 
 
 def _whole(images: Images, most: int) -> Iterator[GreyImage]:
@@ -165,27 +177,30 @@ def _codes() -> Iterator[tuple[str, int]]:
     yield from ((family, border) for family in _APRILTAGS[1:] for border in (1, _KALIBR_BORDER))
 
 
-def _best_code(shown: list[GreyImage]) -> tuple[str, int] | None:
+def _best_code(shown: list[GreyImage], codes: list[tuple[str, int]], how: tuple[int, int]) -> tuple[str, int] | None:
     """The dictionary and border of which an image shows enough tags to be sure, else that of which most are read."""
     total: Counter[tuple[str, int]] = Counter()
     for image in shown:
-        for code in _codes():
-            total[code] += len(_read(image, *code).ids)
+        for code in codes:
+            total[code] += len(_read(image, *code, how).ids)
             if total[code] >= _SURE_TAGS:
                 return code
     (best, n), *_ = total.most_common(1)
     return best if n >= _FEWEST_TAGS else None
 
 
-def _read(image: GreyImage, dictionary: str, border: int) -> _Seen:
-    """Without correcting errors: a chance reading is worse here than a missed tag."""
+def _read(image: GreyImage, dictionary: str, border: int, how: tuple[int, int]) -> _Seen:
+    """Without correcting errors: a chance reading is worse here than a missed tag. how: one of ``_PASSES``."""
+    threshold, scale = how
+    shown = image if scale == 1 else cv2.resize(image, None, fx=scale, fy=scale)
     parameters = cv2.aruco.DetectorParameters()
     parameters.markerBorderBits = border
     parameters.errorCorrectionRate = 0.0
-    quads, ids, _ = cv2.aruco.ArucoDetector(aruco_dictionary(dictionary), parameters).detectMarkers(image)
+    parameters.adaptiveThreshConstant = threshold
+    quads, ids, _ = cv2.aruco.ArucoDetector(aruco_dictionary(dictionary), parameters).detectMarkers(shown)
     if ids is None or not len(ids):
         return _Seen(np.empty(0, dtype=np.int64), np.empty((0, 4, 2)))
-    return _Seen(ids.ravel().astype(np.int64), np.concatenate(quads).astype(np.float64))
+    return _Seen(ids.ravel().astype(np.int64), (np.concatenate(quads).astype(np.float64) + 0.5) / scale - 0.5)
 
 
 def _smallest(family: str, largest_id: int) -> str:

@@ -54,7 +54,7 @@ def _see_dots(image: GreyImage, board: DotGrid, camera: Camera | None) -> SeenBo
     kind = cv2.CALIB_CB_ASYMMETRIC_GRID if board.asymmetric else cv2.CALIB_CB_SYMMETRIC_GRID
     size = (board.dot_columns, board.dot_rows)
     for flags in (kind, kind | cv2.CALIB_CB_CLUSTERING):
-        whole, found = cv2.findCirclesGrid(image, size, flags=flags, blobDetector=_blobs(image))
+        whole, found = cv2.findCirclesGrid(image, size, flags=flags, blobDetector=blobs(image))
         if whole:
             break
     else:
@@ -65,7 +65,8 @@ def _see_dots(image: GreyImage, board: DotGrid, camera: Camera | None) -> SeenBo
     return _NOTHING
 
 
-def _blobs(image: GreyImage) -> cv2.SimpleBlobDetector:
+def blobs(image: GreyImage) -> cv2.SimpleBlobDetector:
+    """What finds dark blobs that may be dots."""
     parameters = cv2.SimpleBlobDetector.Params()
     parameters.filterByArea, parameters.minArea = True, _SMALLEST_DOT_PX2
     parameters.maxArea = _LARGEST_DOT_SHARE * image.size

@@ -15,7 +15,6 @@ from dataclasses import dataclass, replace
 import gtsam
 import numpy as np
 from scipy.spatial.transform import Rotation
-from scipy.special import gammaln
 
 from factors.marginal import MarginalFactor
 from factors.moments import chain
@@ -26,37 +25,24 @@ from gtcal.estimation.alignment_descent import converged_sweep
 from gtcal.estimation.consensus import ViewPoses, consensus
 from gtcal.estimation.graph import BODY_T_BOARD, camera_T_ref_key, minimise
 from gtcal.estimation.linear import scaled_inverse
+from gtcal.estimation.pose_noise import (
+    TAILS,
+    PoseNoise,
+    minus_log_likelihood,
+    robust_covariance,
+    shrunk,
+    weights_of,
+)
 from gtcal.estimation.procrustes import alignment_sums
 
 FEWEST_VIEWS = 3
 
-_TAILS = (2.0, 4.0, 10.0, np.inf)
-"""Degrees of freedom of the Student t that are tried; infinite is Gaussian."""
-
 _ROUNDS, _SETTLED = 30, 1e-4
-_SHRUNK_BY = 6.0
-"""The covariance of the views is drawn to one that is alike in all directions as if by so many views more."""
-
 _RIGID = 1e-3
 """What rotations that were written with few digits are off by."""
 
-_LEAST_RAD, _LEAST_M = 1e-7, 1e-7
-_LEVER_M = 0.2
+LEVER_M = 0.2
 """How far from its origin the board's points are taken to be where poses are aligned in 3-D, to start with."""
-
-
-@dataclass(frozen=True)
-class PoseNoise:
-    """covariance: (6, 6) of a view's rotation, about the board's axes, and shift, along the camera's (rad, m). tail:
-    the degrees of freedom of its Student t. drifts: whether it is of steps from view to view."""
-
-    covariance: FloatArray
-    tail: float
-    drifts: bool
-
-    @property
-    def log_determinant(self) -> float:
-        return float(np.linalg.slogdet(self.covariance)[1])
 
 
 @dataclass(frozen=True)
@@ -84,11 +70,11 @@ def calibrate_poses(
     for what, poses in (("ref_T_body", ref_T_body), ("camera_T_board", camera_T_board)):
         _check_rigid(what, poses)
     start = _start(ref_T_body, camera_T_board, rng or np.random.default_rng(0))
-    still = _Absolute(ref_T_body, camera_T_board)
+    still = AbsolutePoses(ref_T_body, camera_T_board)
     try:
         found = _settled(still, start)
         if len(ref_T_body) > 2 * FEWEST_VIEWS:
-            steps = _settled(_Steps(ref_T_body, camera_T_board), (found.camera_T_ref, found.body_T_board))
+            steps = _settled(PoseSteps(ref_T_body, camera_T_board), (found.camera_T_ref, found.body_T_board))
             if steps.noise.log_determinant < found.noise.log_determinant:
                 return _with_board(steps, still)
     except np.linalg.LinAlgError:
@@ -108,7 +94,7 @@ def _start(
     ref_T_body: FloatArray, camera_T_board: FloatArray, rng: np.random.Generator
 ) -> tuple[FloatArray, FloatArray]:
     """The better, by the median view, of the alignment of all views and of a consensus of some."""
-    moments = np.tile(np.diag([_LEVER_M**2] * 3 + [1.0]), (len(ref_T_body), 1, 1))
+    moments = np.tile(np.diag([LEVER_M**2] * 3 + [1.0]), (len(ref_T_body), 1, 1))
     views = ViewPoses(ref_T_body, camera_T_board, moments)
     swept = converged_sweep([alignment_sums(ref_T_body, camera_T_board, moments)], rng)
     starts = [(swept.camera_T_ref[0], swept.body_T_board)]
@@ -118,7 +104,7 @@ def _start(
 
 
 @dataclass(frozen=True)
-class _Absolute:
+class AbsolutePoses:
     """The chain against each measured pose."""
 
     ref_T_body: FloatArray
@@ -142,7 +128,7 @@ class _Absolute:
 
 
 @dataclass(frozen=True)
-class _Steps:
+class PoseSteps:
     """The camera's steps from view to view, by the chain Y_c * A_i * A_(i+1)^-1 * Y_c^-1, against the measured ones."""
 
     ref_T_body: FloatArray
@@ -167,30 +153,30 @@ class _Steps:
         return np.hstack([phi, expected[:, :3, 3] - measured[:, :3, 3]]), J
 
 
-_Model = _Absolute | _Steps
+_Model = AbsolutePoses | PoseSteps
 
 
 def _settled(model: _Model, start: tuple[FloatArray, FloatArray]) -> PoseLevel:
     """By the tail that explains the views best."""
-    return min((_with_tail(model, start, tail) for tail in _TAILS), key=lambda found: found.minus_log_likelihood)
+    return min((_with_tail(model, start, tail) for tail in TAILS), key=lambda found: found.minus_log_likelihood)
 
 
 def _with_tail(model: _Model, start: tuple[FloatArray, FloatArray], tail: float) -> PoseLevel:
     """Estimate and noise in turns, until both stay."""
     (Y, X), r = start, model.residuals(*start)[0]
-    covariance = _robust_covariance(r)
+    covariance = robust_covariance(r)
     for _ in range(_ROUNDS):
-        weights = _weights(r, covariance, tail)
+        weights = weights_of(r, covariance, tail)
         Y, X = _minimised(model, (Y, X), covariance, weights)
         r, J = model.residuals(Y, X)
         before = covariance
-        covariance = _shrunk((r.T * weights) @ r / max(len(r) - len(model.keys), 1), len(r))
+        covariance = shrunk((r.T * weights) @ r / max(len(r) - len(model.keys), 1), len(r))
         if np.abs(np.diag(covariance) / np.diag(before) - 1.0).max() < _SETTLED:
             break
-    weights = _weights(r, covariance, tail)
+    weights = weights_of(r, covariance, tail)
     J = J[:, :, : 6 * len(model.keys)]
     information = np.einsum("via,ij,vjb->ab", J * weights[:, None, None], np.linalg.inv(covariance), J)
-    noise, likelihood = PoseNoise(covariance, tail, model.drifts), _minus_log_likelihood(r, covariance, tail)
+    noise, likelihood = PoseNoise(covariance, tail, model.drifts), minus_log_likelihood(r, covariance, tail)
     return PoseLevel(Y, X, scaled_inverse(information), noise, weights, likelihood)
 
 
@@ -218,7 +204,7 @@ def _minimised(
     )
 
 
-def _with_board(steps: PoseLevel, still: _Absolute) -> PoseLevel:
+def _with_board(steps: PoseLevel, still: AbsolutePoses) -> PoseLevel:
     """X where all views, drifted as they are, want it by their median; as unsure as they scatter."""
     wanted = inverse(chain(steps.camera_T_ref, still.ref_T_body, np.eye(4))) @ still.camera_T_board
     X = np.eye(4)
@@ -229,45 +215,6 @@ def _with_board(steps: PoseLevel, still: _Absolute) -> PoseLevel:
     covariance = np.zeros((12, 12))
     covariance[:6, :6], covariance[6:, 6:] = steps.covariance, scatter.T @ scatter / len(scatter)
     return replace(steps, body_T_board=X, covariance=covariance, weights=np.append(steps.weights, 1.0))
-
-
-def _weights(r: FloatArray, covariance: FloatArray, tail: float) -> FloatArray:
-    """(V,) of a Student t; 1 of a Gaussian."""
-    if np.isinf(tail):
-        return np.ones(len(r))
-    return np.asarray((tail + 6.0) / (tail + _distance2(r, covariance)))
-
-
-def _minus_log_likelihood(r: FloatArray, covariance: FloatArray, tail: float) -> float:
-    """Up to what all tails have in common."""
-    distance2, half = _distance2(r, covariance), 0.5 * np.linalg.slogdet(covariance)[1]
-    if np.isinf(tail):
-        return float(np.sum(0.5 * distance2 + half))
-    constant = gammaln(0.5 * tail) - gammaln(0.5 * (tail + 6.0)) + 3.0 * np.log(0.5 * tail)
-    return float(np.sum(half + constant + 0.5 * (tail + 6.0) * np.log1p(distance2 / tail)))
-
-
-def _distance2(r: FloatArray, covariance: FloatArray) -> FloatArray:
-    white = np.linalg.solve(np.linalg.cholesky(covariance), r.T)
-    return np.asarray((white**2).sum(axis=0))
-
-
-def _robust_covariance(r: FloatArray) -> FloatArray:
-    """By medians, alike in all directions of the rotation, and of the shift."""
-    sigmas = [1.4826 * float(np.median(np.abs(part))) for part in (r[:, :3], r[:, 3:])]
-    return np.diag(np.repeat([max(sigmas[0], _LEAST_RAD), max(sigmas[1], _LEAST_M)], 3) ** 2)
-
-
-def _shrunk(covariance: FloatArray, n: int) -> FloatArray:
-    """Of few views, drawn to one without correlations that is alike in all directions of the rotation, and of the
-    shift: by the logarithms of its sigmas, which may well differ by a factor of thirty."""
-    logs = np.log(np.maximum(np.diag(covariance), np.repeat([_LEAST_RAD, _LEAST_M], 3) ** 2))
-    correlations = covariance / np.sqrt(np.outer(np.diag(covariance), np.diag(covariance)).clip(min=1e-300))
-    share = _SHRUNK_BY / (n + _SHRUNK_BY)
-    alike = np.repeat([logs[:3].mean(), logs[3:].mean()], 3)
-    sigmas = np.exp(0.5 * ((1.0 - share) * logs + share * alike))
-    drawn = (1.0 - share) * correlations + share * np.eye(6)
-    return np.asarray(drawn * np.outer(sigmas, sigmas))
 
 
 def _inverse_right_jacobians(phi: FloatArray) -> FloatArray:

@@ -5,25 +5,30 @@ from __future__ import annotations
 import re
 import textwrap
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import yaml
 
 from factors import CAMERA_MODELS
 from gtcal.board import BOARD_TYPES, PRESETS, Board, TaggedBoard, board_from_manifest
 from gtcal.detection.board_guess import BoardGuess, LoneTag, guess_board, guess_lone_tag
+from gtcal.detection.plain_guess import PlainGuess, guess_plain_board
 from gtcal.errors import GtcalError
 from gtcal.overview.mocap_files import MocapBody
 from gtcal.overview.survey import FoundBoard, FoundCamera, Survey
+from gtcal.readers import pose_list
 from gtcal.recordings.capture import Capture
 from gtcal.recordings.images import relative
 from gtcal.recordings.open_questions import OPEN
 from gtcal.verification.lollypop import DEVICE_PRESETS, Lollypop
 
 _WIDTH = 116
-_PLATFORM = re.compile(r"(platform|headset|hmd|rig|body|camera|cams?\b|glasses|quest|aria|vicon|mocap)")
+_PLATFORM = re.compile(
+    r"(platform|headset|hmd|rig|body|camera|cams?\b|glasses|quest|aria|vicon|mocap|wrist|flange|gripper|hand|robot|\barm|"
+    r"tool|tcp|effector)"
+)
 _BOARD = re.compile(r"(board|target|grid|april|aruco|tags?\b|checker)")
 _LOLLYPOP = re.compile(r"(lolly|lolli|wand|device_body)")
 _BODY_QUESTIONS = {
@@ -32,6 +37,7 @@ _BODY_QUESTIONS = {
     "time_unit": "Are the time stamps in ns, us, ms or s? The file doesn't say.",
     "rotation": "How are rotations written? The file doesn't say; 'gtcal schema' lists the choices.",
     "rate_hz": "How many frames a second were taken? The file numbers frames only.",
+    "angle_unit": "Are the angles in deg or in rad? The file doesn't say.",
 }
 _CAPTURES = (
     "fixed_cameras (the cameras stand, the board is tracked), tracked_platform (rig or headset and board are tracked) "
@@ -62,20 +68,43 @@ def draft(found: Survey, manifest: Path) -> Draft:
         "it; until then the manifest does not load."
     )
     lines.put("gtcal_recording", 1)
+    numbered = _is_numbered(found)
+    if numbered:
+        lines.say("Names and poses have numbers and no times: one pose for each image.")
+        lines.put("numbered", True)
+    else:
+        found = _without_lists(found)
     shown = _shown(found)
     roles = _roles(found.bodies, shown)
     lines.blank()
     _write_capture(lines, roles, found.bodies, shown)
     lines.blank()
     if shown.lone_tag is None:
-        _write_board(lines, found, shown.board)
+        _write_board(lines, found, shown.board, shown.plain)
     else:
         _write_device(lines, shown.lone_tag)
     lines.blank()
-    _write_cameras(lines, found, shown)
+    _write_cameras(lines, found, shown, numbered)
     _write_bodies(lines, roles, found.bodies, shown)
     _write_left(lines, found)
     return Draft("\n".join(lines.text) + "\n", tuple(lines.questions))
+
+
+def _is_numbered(found: Survey) -> bool:
+    """Whether all cameras go by number, and poses without time are there."""
+    listed = any(body.format == pose_list.FORMAT for body in found.bodies)
+    return bool(found.cameras) and all(camera.numbered for camera in found.cameras) and listed
+
+
+def _without_lists(found: Survey) -> Survey:
+    """Poses without time are of no use to images with it."""
+    bodies = tuple(body for body in found.bodies if body.format != pose_list.FORMAT)
+    listed = [body for body in found.bodies if body.format == pose_list.FORMAT]
+    left = tuple(
+        f"{relative(body.path, found.folder)}: {body.n_samples} poses without time, but not all images go by number"
+        for body in listed
+    )
+    return replace(found, bodies=bodies, left=(*found.left, *left))
 
 
 class _Lines:
@@ -117,10 +146,12 @@ class _Lines:
 
 @dataclass(frozen=True)
 class _Shown:
-    """What the images show: a board as far as its tags tell, or one tag alone, which is taken for a Lollypop's."""
+    """What the images show: a board as far as its tags tell, one without tags, or one tag alone, which is taken for a
+    Lollypop's."""
 
-    board: BoardGuess | None
-    lone_tag: LoneTag | None
+    board: BoardGuess | None = None
+    plain: PlainGuess | None = None
+    lone_tag: LoneTag | None = None
 
     @property
     def body(self) -> str:
@@ -137,14 +168,25 @@ class _Shown:
 
 
 def _shown(found: Survey) -> _Shown:
-    """Of the first camera that shows a board; where none does and no file describes one, that shows a tag alone."""
+    """Of the first camera that shows a board; where none does and no file describes one, that shows a board without
+    tags, one whose tags are hard to read, or a tag alone."""
     images = [camera.images for camera in found.cameras if camera.images is not None]
-    board = next((guess for guess in map(guess_board, images) if guess is not None), None)
+    board = _first(map(guess_board, images))
     if board is not None or any(_is_valid(one) for one in found.boards):
-        return _Shown(board, None)
-    return _Shown(None, next((tag for tag in map(guess_lone_tag, images) if tag is not None), None))
+        return _Shown(board)
+    plain = None if found.boards else _first(map(guess_plain_board, images))
+    if plain is not None:
+        return _Shown(plain=plain)
+    board = _first(guess_board(of_camera, thorough=True) for of_camera in images)
+    return _Shown(board) if board is not None else _Shown(lone_tag=_first(map(guess_lone_tag, images)))
 
 
+def _first(found: Iterable[_T | None]) -> _T | None:
+    """The first that is there."""
+    return next((one for one in found if one is not None), None)
+
+
+_T = TypeVar("_T")
 _Roles = dict[str, list[MocapBody]]
 
 
@@ -217,12 +259,14 @@ def _is_the_tag_of(tag: LoneTag, device: Lollypop) -> bool:
     return device.dictionary == tag.dictionary and device.tag_ids.tolist() == [tag.tag_id]
 
 
-def _write_board(lines: _Lines, found: Survey, guess: BoardGuess | None) -> None:
+def _write_board(lines: _Lines, found: Survey, guess: BoardGuess | None, plain: PlainGuess | None) -> None:
     usable = [board for board in found.boards if _is_valid(board)]
     if len(usable) == 1:
         where = relative(usable[0].path, lines.written_in)
         lines.say(f"From {where}.{_agrees(usable[0].block, guess)}")
         lines.put("board", usable[0].block)
+    elif guess is None and plain is not None:
+        _write_plain_guess(lines, plain)
     elif guess is None:
         several = " ".join(f"{relative(board.path, lines.written_in)} says {board.block}." for board in usable)
         lines.ask(
@@ -241,6 +285,27 @@ def _is_valid(board: FoundBoard) -> bool:
     except GtcalError:
         return False
     return True
+
+
+def _write_plain_guess(lines: _Lines, guess: PlainGuess) -> None:
+    what = "square" if guess.kind == "chessboard" else "dot"
+    kind = "a chessboard" if what == "square" else f"{'an asymmetric' if guess.asymmetric else 'a'} grid of dots"
+    lines.say(
+        f"Images show {kind} of {guess.columns} x {guess.rows} {what}s; "
+        "there is no code in it: check which are columns and which rows of the upright print."
+    )
+    lines.enter("board")
+    lines.put("type", guess.kind)
+    lines.put(f"{what}_columns", guess.columns)
+    lines.put(f"{what}_rows", guess.rows)
+    if guess.asymmetric:
+        lines.put("asymmetric", True)
+    name, length = ("square_side_m", "the side of a square") if what == "square" else ("dot_pitch_m", _PITCH)
+    lines.ask(name, f"How long is {length}, in m? Measure it on the print, over several of them.")
+    lines.leave()
+
+
+_PITCH = "the way from a dot's centre to that of the next in its row"
 
 
 def _agrees(block: dict[str, Any], guess: BoardGuess | None) -> str:
@@ -320,17 +385,17 @@ def _could_be(board: Board, guess: BoardGuess) -> bool:
     return same_tags and guess.columns in (None, columns)
 
 
-def _write_cameras(lines: _Lines, found: Survey, shown: _Shown) -> None:
+def _write_cameras(lines: _Lines, found: Survey, shown: _Shown, numbered: bool) -> None:
     if not found.cameras:
         lines.ask("cameras", "Where are the cameras' images? None were found in this folder; see 'gtcal schema'.")
         return
     lines.enter("cameras")
     for camera in found.cameras:
-        _write_camera(lines, camera, to_verify=shown.lone_tag is not None)
+        _write_camera(lines, camera, numbered, to_verify=shown.lone_tag is not None)
     lines.leave()
 
 
-def _write_camera(lines: _Lines, camera: FoundCamera, *, to_verify: bool) -> None:
+def _write_camera(lines: _Lines, camera: FoundCamera, numbered: bool, *, to_verify: bool) -> None:
     lines.say(
         camera.what + ("" if camera.lens_from is None else f"; the lens is that of {lines.path(camera.lens_from)}")
     )
@@ -349,14 +414,15 @@ def _write_camera(lines: _Lines, camera: FoundCamera, *, to_verify: bool) -> Non
         if name != "model":
             lines.put(name, lines.path(value) if name in _PATH_FIELDS else value)
     for name, question in camera.asked.items():
-        lines.ask(name, question)
+        if not (numbered and name == "image_list"):
+            lines.ask(name, question)
     if camera.detections is not None:
         lines.say(f"Corners were found in {lines.path(camera.detections)}; to take them in place of detecting, add:")
         lines.say(f"detections: {lines.path(camera.detections)}")
     lines.leave()
 
 
-_PATH_FIELDS = ("images", "image_list", "video", "bag", "vrs")
+_PATH_FIELDS = ("images", "image_list", "video", "bag", "vrs", "detections")
 
 
 def _write_bodies(lines: _Lines, roles: _Roles, bodies: tuple[MocapBody, ...], shown: _Shown) -> None:
@@ -412,7 +478,7 @@ def _write_left(lines: _Lines, found: Survey) -> None:
 
 def _times_apart(found: Survey) -> Iterable[str]:
     for camera in found.cameras:
-        if camera.images is None or "stamp_offset_ns" in camera.asked:
+        if camera.images is None or camera.numbered or "stamp_offset_ns" in camera.asked:
             continue
         first, last = int(camera.images.stamps_ns[0]), int(camera.images.stamps_ns[-1])
         spans = {body.called: body.span_ns for body in found.bodies if body.span_ns is not None}

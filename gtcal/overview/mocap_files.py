@@ -6,10 +6,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from gtcal.errors import GtcalError
-from gtcal.readers import MocapSummary, inspect_mocap
+from gtcal.readers import MocapSummary, inspect_mocap, pose_list
+from gtcal.readers.pose_list import inspect_pose_list
 from gtcal.recordings.bag_images import BAG_SUFFIXES
 
-MOCAP_SUFFIXES = (".csv", ".tsv", ".txt", ".tum", ".c3d", ".trc", *BAG_SUFFIXES)
+MOCAP_SUFFIXES = (".csv", ".tsv", ".txt", ".tum", ".c3d", ".trc", ".npy", *BAG_SUFFIXES)
 
 
 @dataclass(frozen=True)
@@ -34,7 +35,19 @@ def mocap_bodies(path: Path) -> tuple[MocapBody, ...]:
     try:
         return _bodies(inspect_mocap(path))
     except GtcalError:
+        return _listed(path)
+
+
+def _listed(path: Path) -> tuple[MocapBody, ...]:
+    """The body of a list of poses without time."""
+    try:
+        found = inspect_pose_list(path)
+    except GtcalError:
         return ()
+    if found is None:
+        return ()
+    n_poses, open_fields = found
+    return (MocapBody(path, pose_list.FORMAT, None, _by_file(path), open_fields, n_poses, None),)
 
 
 def _bodies(summary: MocapSummary) -> tuple[MocapBody, ...]:

@@ -14,16 +14,27 @@ from gtcal.documents import load_plain_yaml, read_text
 from gtcal.errors import GtcalError
 from gtcal.overview.mocap_files import MOCAP_SUFFIXES, MocapBody, mocap_bodies
 from gtcal.recordings.bag_images import BAG_SUFFIXES, bag_images, image_topics
-from gtcal.recordings.images import IMAGE_SUFFIXES, Images, first_whole, image_folder, image_list, read_grey, relative
+from gtcal.recordings.images import (
+    IMAGE_SUFFIXES,
+    Images,
+    first_whole,
+    image_folder,
+    image_list,
+    numbered_folder,
+    read_grey,
+    relative,
+)
 from gtcal.recordings.layouts import find_layout, lens_fields
 from gtcal.recordings.manifest import MANIFEST_NAMES
+from gtcal.recordings.numbering import numbers_of
 from gtcal.recordings.video_images import VIDEO_SUFFIXES, video_images
 from gtcal.recordings.vrs_images import VRS_SUFFIXES, image_streams, vrs_images
 
 # Folders of pictures of results and the like lie deeper.
 _DEEPEST = 4
 _FEWEST_IMAGES = 2
-_DETECTION_HEADERS = ("timestamp_ns,corner_id,", "timestamp_ns,tag_id,", "ts,tag_rows,")
+_NUMBERED_HEADERS = ("number,corner_id,", "number,tag_id,")
+_DETECTION_HEADERS = ("timestamp_ns,corner_id,", "timestamp_ns,tag_id,", "ts,tag_rows,", *_NUMBERED_HEADERS)
 # A camera's images often lie in a folder of such a name within the camera's.
 _PLAIN_FOLDERS = ("data", "images", "image", "frames", "img", "image_raw")
 _LENSES_OF_YAC = {
@@ -38,7 +49,8 @@ class FoundCamera:
 
     fields: of the manifest's entry, as far as the files state them. asked: by field, questions that they leave open.
     what: the images in words. lens_from: the file that describes the lens. images: to look at, None where they can't
-    be read yet. detections: files of corners that seem to be this camera's."""
+    be read yet. detections: files of corners that seem to be this camera's. numbered: whether the images, or corners
+    where there are no images, go by number, as far as their names tell."""
 
     name: str
     fields: dict[str, Any]
@@ -47,6 +59,7 @@ class FoundCamera:
     asked: dict[str, str] = field(default_factory=dict)
     lens_from: str | None = None
     detections: str | None = None
+    numbered: bool = False
 
 
 @dataclass(frozen=True)
@@ -83,7 +96,8 @@ def survey(folder: Path) -> Survey:
     cameras = [*_image_cameras(folder, files, left), *_packed_cameras(folder, files, left)]
     lenses = _lenses(folder, documents, left)
     named = _with_names(folder, cameras)
-    found = tuple(_with_lens(camera, lenses) for camera in _with_detections(folder, named, files))
+    seen = [*_with_detections(folder, named, files)]
+    found = tuple(_with_lens(camera, lenses) for camera in seen or _of_corners(folder, files))
     lists = {path for path in files if _first_line(path).strip().lower().endswith("filename")}
     bodies = [body for path in _mocap_files(files) if path not in lists for body in mocap_bodies(path)]
     if not found and not bodies:
@@ -152,8 +166,16 @@ def _image_camera(folder: Path, images_in: Path) -> FoundCamera:
     try:
         images = image_folder(images_in) if listing is None else image_list(listing, images_in)
     except GtcalError as error:
-        asked = f"Which CSV 'timestamp [ns],filename' lists these images? ({_without_path(error, images_in)})"
-        return FoundCamera(where, _sized(fields, images_in), f"images in {where}", None, {"image_list": asked})
+        asked = {"image_list": f"Which CSV 'timestamp [ns],filename' lists these images? ({_short(error, images_in)})"}
+        try:
+            numbered = numbered_folder(images_in) if listing is None else None
+        except GtcalError:
+            numbered = None
+        if numbered is None:
+            return FoundCamera(where, _sized(fields, images_in), f"images in {where}", None, asked)
+        numbers = numbers_of(numbered.stamps_ns)
+        what = f"{len(numbered)} images in {where}, numbers {numbers[0]} to {numbers[-1]}"
+        return FoundCamera(where, _sized(fields, images_in), what, numbered, asked, numbered=True)
     size_px = first_whole(images).shape[::-1]
     return FoundCamera(where, {"image_size_px": list(size_px), **fields}, _in_words(images, where, size_px), images)
 
@@ -174,7 +196,8 @@ def _sized(fields: dict[str, Any], images_in: Path) -> dict[str, Any]:
     return fields
 
 
-def _without_path(error: GtcalError, path: Path) -> str:
+def _short(error: GtcalError, path: Path) -> str:
+    """Without the path."""
     return str(error).removeprefix(str(path)).lstrip("/: ")
 
 
@@ -255,6 +278,25 @@ def _with_detections(folder: Path, cameras: list[FoundCamera], files: list[Path]
     for camera in cameras:
         own = next((place for place in places if camera.name in _words(relative(place, folder))), None)
         yield camera if own is None else replace(camera, detections=relative(own, folder))
+
+
+def _of_corners(folder: Path, files: list[Path]) -> Iterator[FoundCamera]:
+    """Where there are no images: a camera for each file of corners, or for each folder of them."""
+    corners = [path for path in files if _first_line(path).startswith(_DETECTION_HEADERS)]
+    places = dict.fromkeys(path.parent if _is_of_views(path, corners) else path for path in corners)
+    for index, place in enumerate(places):
+        first = place if place.is_file() else next(path for path in corners if path.parent == place)
+        name = place.stem.removesuffix("_detections").removesuffix("_corners")
+        name = f"cam{index}" if name in ("corners", "detections") else name
+        where = relative(place, folder)
+        asked = {"image_size_px": "How many pixels wide and high are the images, as [640, 480]?"}
+        numbered = _first_line(first).startswith(_NUMBERED_HEADERS)
+        yield FoundCamera(name, {"detections": where}, f"corners in {where}", None, asked, numbered=numbered)
+
+
+def _is_of_views(path: Path, corners: list[Path]) -> bool:
+    """Whether the file is one of a folder with one for each view."""
+    return _first_line(path).startswith("ts,tag_rows,") and sum(p.parent == path.parent for p in corners) > 1
 
 
 def _words(where: str) -> list[str]:

@@ -126,26 +126,25 @@ def open_pose_list(path: Path) -> tuple[TextTable, _Columns]:
     return table, _named(table.header(), table.n_columns)
 
 
-def open_fields(table: TextTable, columns: _Columns) -> tuple[str, ...] | None:
-    """The fields of the manifest that this list leaves open; None where it is no list of poses."""
+def inspect_pose_list(path: Path) -> tuple[int, tuple[str, ...]] | None:
+    """How many poses a file holds, and the fields of the manifest that it leaves open; None where it is no list of
+    poses, or only could be one.
+
+    Raises GtcalError where it can't be read."""
+    if path.suffix.lower() == ".npy":
+        return len(_numpy_poses(path)), ("length_unit",)
+    table, columns = open_pose_list(path)
     names = columns.names or _unnamed(table, None)
-    if names is None or (not columns.names and table.n_columns == 4 and not _is_matrix_block(table)):
+    if names is None or ("a0" in names and not columns.names):
         return None
-    needed = [] if "length_unit" in columns.stated else ["length_unit"]
-    if "q0" in names and "quaternion" not in columns.stated:
-        needed.append("quaternion")
     if "a0" in names:
-        needed += ["rotation", *([] if "angle_unit" in columns.stated else ["angle_unit"])]
-    return tuple(needed)
-
-
-def _is_matrix_block(table: TextTable) -> bool:
-    try:
-        rows = table.read([(f"c{i}", "number") for i in range(4)])
-    except GtcalError:
-        return False
-    numbers = np.stack([rows[f"c{i}"] for i in range(4)], axis=1)
-    return len(numbers) % 4 == 0 and bool((numbers[3::4] == _BOTTOM).all()) and len(numbers) > 0
+        needed = ["rotation", "angle_unit"]
+        n_poses = len(table.read([(name, _kind(name)) for name in names]))
+    else:
+        order = columns.stated.get("quaternion", "xyzw") if "q0" in names else None  # which, a norm does not tell
+        listed = _Rows(table, columns, "", order, None, None)
+        n_poses, needed = len(listed.poses()), ["quaternion"] if "q0" in names else []
+    return n_poses, tuple(name for name in ("length_unit", *needed) if name not in columns.stated)
 
 
 def _separator(path: Path) -> str | None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
@@ -370,36 +370,48 @@ def manifest_of(path: Path, data: dict[str, Any]) -> Manifest:
             f"{path}: device: this is a recording of a Lollypop, which verifies a calibration ('gtcal verify'), "
             "not of a board to calibrate from"
         )
+    _refuse_poses(path, data.get("cameras"))
     manifest = validated(path, data, Manifest)
     try:
         check_bodies(Capture(manifest.capture), set(manifest.bodies))
         check_sources(manifest.cameras)
-        _check_numbered(manifest)
+        check_numbered_bodies(manifest.bodies, numbered=manifest.numbered)
+        _check_without_time(manifest)
     except GtcalError as error:
         raise GtcalError(f"{path}: {error}") from None
     return manifest
 
 
-def _check_numbered(manifest: Manifest) -> None:
-    """Raises GtcalError where a numbered recording states what only time has, or another what only numbers have."""
-    for name, body in manifest.bodies.items():
-        if not manifest.numbered and body.format == pose_list.FORMAT:
+def _refuse_poses(path: Path, cameras: Any) -> None:
+    for name, camera in cameras.items() if isinstance(cameras, dict) else ():
+        if isinstance(camera, dict) and "views" in camera:
+            raise GtcalError(
+                f"{path}: cameras.{name}.views: these are poses in place of corners, which 'gtcal calibrate' and "
+                "'gtcal compare' take; all else needs images or corners"
+            )
+
+
+def check_numbered_bodies(bodies: Mapping[str, TrajectoryEntry], *, numbered: bool) -> None:
+    """Raises GtcalError where poses have no time, but the recording does, or the other way round."""
+    for name, body in bodies.items():
+        if not numbered and body.format == pose_list.FORMAT:
             raise GtcalError(
                 f"{name}.format: a {pose_list.FORMAT} has no time stamps; where its poses go with the images by "
                 "number, set numbered: true"
             )
-        if manifest.numbered and body.format != pose_list.FORMAT:
+        if numbered and body.format != pose_list.FORMAT:
             raise GtcalError(
                 f"{name}.format: numbered: true takes a {pose_list.FORMAT}, one pose for each image; leave numbered "
                 f"out where the poses of {body.format} have the images' clock"
             )
         if body.angle_unit is not None and body.format != pose_list.FORMAT:
             raise GtcalError(f"{name}.angle_unit: belongs to format {pose_list.FORMAT}")
-    if manifest.numbered:
-        _check_without_time(manifest)
 
 
 def _check_without_time(manifest: Manifest) -> None:
+    """Raises GtcalError where a numbered recording states what only time has."""
+    if not manifest.numbered:
+        return
     of_time = {"layout": manifest.layout, "max_gap_ms": manifest.max_gap_ms}
     for name, camera in manifest.cameras.items():
         fields = ("image_list", "video", "bag", "vrs", "rolling_shutter", "stamp_offset_ns")

@@ -89,7 +89,7 @@ def calibration_document(calibration: Calibration) -> dict[str, Any]:
         "effects": [asdict(finding) for finding in calibration.effects],
         "carried_over": asdict(calibration.carried_over) if calibration.carried_over else None,
         "segments": [_segment_document(segment) for segment in calibration.segments],
-        "stages": [_without_nan(asdict(stage)) for stage in calibration.stages],
+        "stages": [without_nan(asdict(stage)) for stage in calibration.stages],
         "dropped": [asdict(dropped) for dropped in calibration.dropped],
         "provenance": provenance_document(calibration.provenance),
     }
@@ -107,7 +107,7 @@ def _camera_document(calibrated: CameraCalibration) -> dict[str, Any]:
         if covariance is None
         else dict(zip(names, np.sqrt(np.diag(covariance)).tolist(), strict=True)),
         "parameter_covariance": _list(covariance),
-        "camera_T_ref": _pose_document(pose)
+        "camera_T_ref": pose_document(pose)
         | {
             "position_of_camera_in_ref_m": pose.position_of_a_in_b_m.tolist(),
             "position_of_camera_in_ref_sigma_mm": _list(pose.position_of_a_in_b_sigma_mm),
@@ -118,7 +118,7 @@ def _camera_document(calibrated: CameraCalibration) -> dict[str, Any]:
 
 
 def _board_document(pose: PoseEstimate) -> dict[str, Any]:
-    return _pose_document(pose) | {"position_of_board_in_body_sigma_mm": _list(pose.position_of_b_in_a_sigma_mm)}
+    return pose_document(pose) | {"position_of_board_in_body_sigma_mm": _list(pose.position_of_b_in_a_sigma_mm)}
 
 
 def _shape_document(found: BoardShape | None) -> dict[str, Any] | None:
@@ -133,7 +133,8 @@ def _shape_document(found: BoardShape | None) -> dict[str, Any] | None:
     }
 
 
-def _pose_document(pose: PoseEstimate) -> dict[str, Any]:
+def pose_document(pose: PoseEstimate) -> dict[str, Any]:
+    """A transform, with what people and other programs read beside the matrix."""
     quat_wxyz = quaternions_from_poses(pose.a_T_b[None], "wxyz")[0]
     return {
         "matrix": pose.a_T_b.tolist(),
@@ -171,7 +172,7 @@ def _segment_document(segment: Segment) -> dict[str, Any]:
         "end_s": segment.end_s,
         "moved": segment.moved,
         "body_T_board": _board_document(segment.body_T_board),
-        "camera_T_ref": {name: _pose_document(pose) for name, pose in segment.camera_T_ref.items()},
+        "camera_T_ref": {name: pose_document(pose) for name, pose in segment.camera_T_ref.items()},
     }
 
 
@@ -197,7 +198,7 @@ def _list(array: FloatArray | None) -> list[Any] | None:
     return None if array is None else array.tolist()
 
 
-def _without_nan(fields: dict[str, Any]) -> dict[str, Any]:
+def without_nan(fields: dict[str, Any]) -> dict[str, Any]:
     """JSON has no NaN: what a stage has no number for is null."""
     return {key: None if value != value else value for key, value in fields.items()}
 
@@ -206,7 +207,7 @@ def _calibration(document: Mapping[str, Any]) -> Calibration:
     return Calibration(
         capture=Capture(document["capture"]),
         cameras={named(name): _camera(name, block) for name, block in document["cameras"].items()},
-        body_T_board=_pose(document["body_T_board"]),
+        body_T_board=pose_of(document["body_T_board"]),
         board=document["board"],
         board_shape=_shape(document.get("board_shape")),
         sigma_px=float(document["sigma_px"]),
@@ -218,10 +219,10 @@ def _calibration(document: Mapping[str, Any]) -> Calibration:
         effects=tuple(_finding(block) for block in document.get("effects", ())),
         carried_over=_carried_over(document.get("carried_over")),
         segments=tuple(_segment(block) for block in document.get("segments", ())),
-        stages=tuple(_stage(block) for block in document["stages"]),
+        stages=tuple(stage_of(block) for block in document["stages"]),
         dropped=tuple(_made(Dropped, block) for block in document["dropped"]),
         warnings=tuple(document["warnings"]),
-        provenance=_provenance(document["provenance"]),
+        provenance=provenance_of(document["provenance"]),
     )
 
 
@@ -236,7 +237,7 @@ def _camera(name: str, block: Mapping[str, Any]) -> CameraCalibration:
         raise ValueError(f"cameras.{name}.parameters hold a number beyond any lens, or none")
     return CameraCalibration(
         camera=Camera(name, model, theta, width_px, height_px, _shutter(block["rolling_shutter"])),
-        camera_T_ref=_pose(block["camera_T_ref"]),
+        camera_T_ref=pose_of(block["camera_T_ref"]),
         theta_covariance=_array(block["parameter_covariance"], (len(theta), len(theta))),
         residuals=_made(ResidualStatistics, block["residuals"]),
         lens_moves=tuple(_made(LensMove, move) for move in block.get("lens_moves", ())),
@@ -247,7 +248,8 @@ def _shutter(block: Mapping[str, Any] | None) -> RollingShutter | None:
     return None if block is None else _made(RollingShutter, block)
 
 
-def _pose(block: Mapping[str, Any]) -> PoseEstimate:
+def pose_of(block: Mapping[str, Any]) -> PoseEstimate:
+    """What ``pose_document`` wrote."""
     matrix = _array(block["matrix"], (4, 4))
     if matrix is None:
         raise ValueError("matrix is null")
@@ -290,8 +292,8 @@ def _finding(block: Mapping[str, Any]) -> EffectFinding:
 
 
 def _segment(block: Mapping[str, Any]) -> Segment:
-    cameras = {name: _pose(pose) for name, pose in block["camera_T_ref"].items()}
-    return _made(Segment, {**block, "body_T_board": _pose(block["body_T_board"]), "camera_T_ref": cameras})
+    cameras = {name: pose_of(pose) for name, pose in block["camera_T_ref"].items()}
+    return _made(Segment, {**block, "body_T_board": pose_of(block["body_T_board"]), "camera_T_ref": cameras})
 
 
 def _joint_covariance(kind: str, block: Mapping[str, Any]) -> JointCovariance:
@@ -308,12 +310,14 @@ def _array(rows: Any, shape: tuple[int, ...]) -> FloatArray | None:
     return array
 
 
-def _stage(block: Mapping[str, Any]) -> StageReport:
+def stage_of(block: Mapping[str, Any]) -> StageReport:
+    """A stage as it was written."""
     given: dict[str, Any] = {key: float("nan") if value is None else value for key, value in block.items()}
     return _made(StageReport, given)
 
 
-def _provenance(block: Mapping[str, Any]) -> Provenance:
+def provenance_of(block: Mapping[str, Any]) -> Provenance:
+    """What ``provenance_document`` wrote."""
     inputs = tuple(InputFile(Path(entry["path"]), entry["sha256"]) for entry in block["inputs"])
     return _made(Provenance, {**block, "inputs": inputs, "command_line": tuple(block["command_line"])})
 
