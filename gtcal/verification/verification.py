@@ -94,11 +94,11 @@ class VerificationOptions:
     min_sightings: int = 50
     min_blocks: int = 8
     min_coverage: float = 0.2
-    coverage_columns: int = 10
-    coverage_rows: int = 8
+    coverage_columns: int = 8
+    coverage_rows: int = 6
     min_parallax_deg: float = 3.0
-    heat_map_columns: int = 20
-    heat_map_rows: int = 16
+    heat_map_columns: int = 16
+    heat_map_rows: int = 12
     false_alarm_rate: float = 0.002
     least_fault_px: float = 0.1
 
