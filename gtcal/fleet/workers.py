@@ -23,6 +23,16 @@ RETRIES = 2
 """How often a task is tried again elsewhere after its worker was killed, or ran out of memory."""
 
 _COUNT_EVERY_S = 1.0
+_NONE_LEFT_S = 120.0
+"""So long a batch waits for processes of its own that ended to come back."""
+
+_OF_A_BUSY_MACHINE = {
+    "distributed.scheduler.allowed-failures": RETRIES,
+    "distributed.scheduler.worker-ttl": "30 minutes",  # a solve may keep its process from answering
+    "distributed.comm.timeouts.connect": "120s",
+    "distributed.comm.timeouts.tcp": "120s",
+}
+"""Dask's own patience is that of a machine with nothing else to do."""
 
 DoTask = Callable[[Task], Outcome]
 
@@ -74,8 +84,10 @@ class InThisProcess:
 class DaskWorkers:
     """The workers of a Dask cluster, one task each."""
 
-    def __init__(self, client: Client, do: DoTask = run_task) -> None:
-        self._client, self._do = client, do
+    def __init__(self, client: Client, do: DoTask = run_task, *, own: bool = False) -> None:
+        """own: the cluster is this batch's, and nobody else adds workers to it."""
+        self._client, self._do, self._own = client, do, own
+        self._seen_s = time.monotonic()
         self._ended: queue.SimpleQueue[tuple[int, Task, Any]] = queue.SimpleQueue()
         self._futures: dict[int, Any] = {}
         self._tries: dict[int, int] = {}
@@ -84,9 +96,16 @@ class DaskWorkers:
     @property
     def n(self) -> int:
         if time.monotonic() > self._counted_s + _COUNT_EVERY_S:  # a cluster grows and shrinks
-            self._n = max(len(self._client.scheduler_info(n_workers=-1)["workers"]), 1)
-            self._counted_s = time.monotonic()
+            there = len(self._client.scheduler_info(n_workers=-1)["workers"])
+            self._n, self._counted_s = max(there, 1), time.monotonic()
+            self._check_left(there)
         return self._n
+
+    def _check_left(self, there: int) -> None:
+        if there or not self._own:
+            self._seen_s = time.monotonic()
+        elif time.monotonic() > self._seen_s + _NONE_LEFT_S:
+            raise GtcalError("all processes of this batch ended, and none came back; run it again to go on")
 
     def submit(self, number: int, task: Task) -> None:
         future = self._client.submit(self._do, task, pure=False, retries=0)
@@ -97,6 +116,7 @@ class DaskWorkers:
         try:
             number, task, future = self._ended.get(timeout=timeout_s)
         except queue.Empty:
+            _ = self.n  # which notices where nobody is left
             return None
         self._futures.pop(number)
         try:
@@ -126,14 +146,15 @@ def dask_workers(
     """Workers of the cluster at ``scheduler``, or of a local one of ``jobs`` processes (by default one a core); each
     takes one core. On leaving, a local cluster ends.
 
-    Raises GtcalError where Dask isn't installed, or nobody answers at that address."""
+    Raises GtcalError where Dask isn't installed, or nobody answers at that address; and inside, where all processes of
+    a local cluster ended and none comes back."""
     try:
         import dask
         from distributed import Client, LocalCluster
     except ImportError:
         raise GtcalError("batches run on Dask: pip install 'gtcal[fleet]', or give --jobs 0") from None
     logging.getLogger("distributed").setLevel(logging.CRITICAL)
-    with dask.config.set({"distributed.scheduler.allowed-failures": RETRIES}):
+    with dask.config.set(_OF_A_BUSY_MACHINE):
         if scheduler is not None:
             try:
                 client = Client(scheduler, timeout="10s")
@@ -152,7 +173,7 @@ def dask_workers(
         )
         with cluster, Client(cluster) as client:
             client.register_plugin(_one_core_each())
-            yield DaskWorkers(client, do)
+            yield DaskWorkers(client, do, own=True)
 
 
 def _one_core_each() -> Any:
