@@ -46,6 +46,6 @@ def detect(
         found = detected(loaded, progress=progress, redo=redo, guided=guided)
     if output is not None:
         for name, detections in found.detections.items():
-            write_detections(output / f"{name}.csv", detections)
+            write_detections(output / f"{name}.csv", detections, numbered=loaded.numbered)
     if not quiet:
         Terminal().print(detection_table(found))
