@@ -66,7 +66,7 @@ from gtcal.verification.workflow import verify
 
 SLOW_S, LARGE_BYTES = 2.0, 2**30
 _HANGS_S = 30
-_CHUNK = 2_000
+_CHUNK = 1_000
 
 
 @dataclass(frozen=True)
@@ -133,6 +133,8 @@ def run(
         while waiting or running:
             if time.perf_counter() - started > seconds:
                 waiting.clear()
+                if not running:
+                    break
             while waiting and len(running) < workers:
                 place, chunk = waiting.pop(0)
                 ours, theirs = context.Pipe(duplex=False)

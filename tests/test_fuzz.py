@@ -19,6 +19,10 @@ def test_no_spoilt_file_is_more_than_refused() -> None:
     assert most_s < fuzz.SLOW_S
 
 
+def test_after_its_time_it_begins_no_more() -> None:
+    assert fuzz.run(range(10), 12, workers=1, seconds=-1.0)[:2] == ([], 0)
+
+
 @pytest.mark.parametrize(
     ("error", "kind"),
     [(ZeroDivisionError(), "uncaught"), (MemoryError(), "large"), (RecursionError(), "uncaught")],
