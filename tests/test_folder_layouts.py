@@ -207,7 +207,7 @@ def test_another_folder_is_not_laid_out_like_that(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("camera_model: pinhole", "camera_model: omni", r"sensor\.yaml: camera_model: is 'omni', and gtcal has no"),
+        ("camera_model: pinhole", "camera_model: cata", r"sensor\.yaml: camera_model: is 'cata', and gtcal has no"),
         ("radial-tangential", "fov", "distortion_model: is 'fov', and gtcal has no such lens; expected one of radtan"),
         ("[-0.28340811, 0.07395907, ", "[", "distortion_coefficients: has 2 numbers; expected 4"),
         ("1.76187114e-05]", "1.76187114e-05, 0.1]", "distortion_coefficients: has 5 numbers; expected 4"),

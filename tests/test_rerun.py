@@ -12,6 +12,7 @@ from calibration_support import HEADSET, simulated
 from factors.rigid import inverse
 from gtcal import CalibrationOptions, GtcalError, calibrate, verify
 from gtcal.cli import main
+from gtcal.recordings.capture import Capture
 from gtcal.report.rerun_file import ENLARGED, write_rerun
 from gtcal.results.calibration_file import write_calibration
 from gtcal.simulation.lollypop import LollypopOptions, simulate_lollypop
@@ -101,7 +102,7 @@ def test_from_the_command_line(seen, tmp_path: Path, capsys: pytest.CaptureFixtu
 
 def test_another_rigs_recording_leaves_nothing_behind(seen, tmp_path: Path) -> None:
     simulation, (calibration, _, _), _ = seen
-    recording = replace(simulation.recording, cameras={})
-    with pytest.raises(GtcalError, match="lacks camera"):
-        write_rerun(tmp_path / "out.rrd", calibration, recording=recording)
+    of_another = replace(calibration, capture=Capture.FIXED_CAMERAS)
+    with pytest.raises(GtcalError, match="its capture is tracked_platform, the calibration's fixed_cameras"):
+        write_rerun(tmp_path / "out.rrd", of_another, recording=simulation.recording)
     assert not list(tmp_path.iterdir())

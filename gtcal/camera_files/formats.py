@@ -34,8 +34,8 @@ class CameraFileWriter(Protocol):
 
 CAMERA_FILE_READERS: dict[str, CameraFileReader] = {
     "kalibr": kalibr.read_kalibr,
-    "basalt": basalt.read_basalt,
     "opencv": opencv.read_opencv,
+    "basalt": basalt.read_basalt,
     "ros": ros.read_ros,
     "ros_bag": ros_bag.read_ros_bag,
     "colmap": colmap.read_colmap,
@@ -51,8 +51,8 @@ CAMERA_FILE_READERS: dict[str, CameraFileReader] = {
 
 CAMERA_FILE_WRITERS: dict[str, CameraFileWriter] = {
     "kalibr": kalibr.write_kalibr,
-    "basalt": basalt.write_basalt,
     "opencv": opencv.write_opencv,
+    "basalt": basalt.write_basalt,
     "ros": ros.write_ros,
     "ros_bag": ros_bag.write_ros_bag,
     "colmap": colmap.write_colmap,

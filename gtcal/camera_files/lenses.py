@@ -112,7 +112,7 @@ def express(camera: Camera, *, format_name: str, forms: Sequence[Form], nearest:
         theta = as_model(camera.model, camera.theta, form.model)
         if theta is not None and form.holds(theta):
             return Expressed(form, theta)
-    found = _nearest(camera, forms, format_name)
+    found = _nearest(camera, _usual(camera, forms), format_name)
     if not nearest:
         raise GtcalError(
             f"camera {camera.name!r}: {format_name} can't express {camera.model.name} with these parameters; the "
@@ -120,6 +120,12 @@ def express(camera: Camera, *, format_name: str, forms: Sequence[Form], nearest:
             "at most over the image: give --nearest to write that, or take --to numpy, which loses nothing"
         )
     return found
+
+
+def _usual(camera: Camera, forms: Sequence[Form]) -> Sequence[Form]:
+    """Those that most tools read: a sphere only in place of another."""
+    usual = [form for form in forms if not form.model.start]
+    return forms if camera.model.start or not usual else usual
 
 
 def as_model(model: CameraModel, theta: FloatArray, other: CameraModel) -> FloatArray | None:

@@ -9,8 +9,8 @@ import tyro
 
 Format = Literal[
     "kalibr",
-    "basalt",
     "opencv",
+    "basalt",
     "ros",
     "ros_bag",
     "colmap",
