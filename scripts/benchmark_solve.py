@@ -2,8 +2,8 @@
 
 4 cameras, 1,000 frames, about 250,000 corners, at the level of detections: the time of every stage, PnP and marginals
 included; beside it, to the same optimum, scipy.optimize.least_squares with the analytic Jacobian, and one CustomFactor
-per corner (on a subset of the views, scaled by the number of corners). Then the growth with the number of frames, with
-peak memory, each size in a process of its own.
+per corner (on a subset of the views, scaled by the number of corners). Then the same by cores, and the growth with the
+number of frames, with peak memory, each in a process of its own.
 
     python scripts/benchmark_solve.py                 # all of it, about five minutes on two cores
     python scripts/benchmark_solve.py --no-growth     # the comparison only
@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import re
 import subprocess
 import sys
@@ -28,6 +29,7 @@ from rich.table import Table
 from scipy.optimize import least_squares
 
 from factors import CornerReprojectionFactor, RobustKernel
+from factors.cores import JOBS_VARIABLE, n_cores
 from factors.moments import chain
 from gtcal import CalibrationOptions, board_from_manifest, synchronise
 from gtcal.camera import FloatArray
@@ -53,6 +55,7 @@ BOARD = {
 }
 OPTIONS = CalibrationOptions(intrinsics="exact")
 GROWTH_FRAMES = (250, 1_000, 4_000, 16_000)
+CORES_FRAMES = 4_000
 FRAME_RATE_HZ = 30.0
 PER_CORNER_VIEWS = 10  # of each camera
 
@@ -272,18 +275,39 @@ def peak_mib() -> float:
 
 
 def growth(console: Console) -> None:
-    table = Table("frames", "corners", title="growth with the number of frames, s", title_justify="left")
-    columns = ("PnP", "stage 1: sweeps", "stage 2: 3-D alignment", "stage 3, minimisation alone", STAGE_4)
-    for heading in (*columns, "peak memory, MiB", "of it to simulate"):
-        table.add_column(heading, justify="right")
+    table = parts_table("frames", "growth with the number of frames, s")
     for n_frames in GROWTH_FRAMES:
         with console.status(f"{n_frames:,} frames"):
-            command = [sys.executable, __file__, "--one-size", str(n_frames)]
-            found = json.loads(subprocess.run(command, check=True, capture_output=True, text=True).stdout)
-        seconds = (f"{found['seconds'][column]:.3f}" for column in columns)
-        memory = f"{found['peak_mib']:.0f}", f"{found['simulated_mib']:.0f}"
-        table.add_row(f"{n_frames:,}", f"{found['corners']:,}", *seconds, *memory)
+            table.add_row(f"{n_frames:,}", *cells(n_frames, n_cores()))
     console.print(table)
+
+
+def by_cores(console: Console) -> None:
+    table = parts_table("cores", f"by cores, {CORES_FRAMES:,} frames, s")
+    powers = [2**power for power in range(n_cores().bit_length()) if 2**power < n_cores()]
+    for jobs in (*powers, n_cores()):
+        with console.status(f"{jobs} cores"):
+            table.add_row(f"{jobs}", *cells(CORES_FRAMES, jobs))
+    console.print(table)
+
+
+PARTS = ("PnP", "stage 1: sweeps", "stage 2: 3-D alignment", "stage 3, minimisation alone", STAGE_4)
+
+
+def parts_table(first: str, title: str) -> Table:
+    table = Table(first, "corners", title=title, title_justify="left")
+    for heading in (*PARTS, "peak memory, MiB", "of it to simulate"):
+        table.add_column(heading, justify="right")
+    return table
+
+
+def cells(n_frames: int, jobs: int) -> tuple[str, ...]:
+    """Of a size, in a process of its own that uses so many cores."""
+    command = [sys.executable, __file__, "--one-size", str(n_frames)]
+    limited = os.environ | {JOBS_VARIABLE: str(jobs)}
+    found = json.loads(subprocess.run(command, check=True, capture_output=True, text=True, env=limited).stdout)
+    seconds = (f"{found['seconds'][part]:.3f}" for part in PARTS)
+    return f"{found['corners']:,}", *seconds, f"{found['peak_mib']:.0f}", f"{found['simulated_mib']:.0f}"
 
 
 def main() -> None:
@@ -295,6 +319,7 @@ def main() -> None:
     if arguments.one_size:
         return one_size(arguments.one_size)
     compare(console)
+    by_cores(console)
     if not arguments.no_growth:
         growth(console)
     return None

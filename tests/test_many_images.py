@@ -303,6 +303,7 @@ def test_jobs_are_taken_by_every_command(monkeypatch: pytest.MonkeyPatch, capsys
     monkeypatch.setenv("OPENCV_FOR_THREADS_NUM", "3")
     assert main(["schema", "--jobs", "1"]) == 0
     assert os.environ["GTCAL_JOBS"] == "1"
-    with pytest.raises(SystemExit):
-        main(["detect", "--help"])
-    assert "--jobs N" in capsys.readouterr().out
+    for _ in range(2):
+        with pytest.raises(SystemExit):
+            main(["detect", "--help"])
+        assert capsys.readouterr().out.count("--jobs N") == 1

@@ -94,7 +94,8 @@ def _overview() -> str:
 def _taking_jobs(function: Callable[..., object]) -> Callable[..., object]:
     """The command, its help with what every command takes."""
     said, arguments, each = (inspect.getdoc(function) or "").partition("\n\nArgs:")
-    function.__doc__ = f"{said}\n\n{JOBS_HELP}{arguments}{each}"
+    if JOBS_HELP not in said:  # else it ran before
+        function.__doc__ = f"{said}\n\n{JOBS_HELP}{arguments}{each}"
     return function
 
 
