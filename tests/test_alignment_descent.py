@@ -63,6 +63,7 @@ def test_a_descent_ends_where_the_gradient_is_nothing_and_the_hessian_positive(s
     np.testing.assert_allclose(found.energy_m2, energy_m2(sums, found.camera_T_ref, found.body_T_board), rtol=1e-9)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", range(3))
 def test_the_least_minimum_is_that_of_scipy(seed: int) -> None:
     """From ten starts, on the corners' own residuals."""
@@ -132,6 +133,7 @@ WRONG = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("what", WRONG)
 @pytest.mark.parametrize("seed", range(3))
 def test_45_percent_wrong_in_one_way_do_not_decide(what: str, seed: int) -> None:

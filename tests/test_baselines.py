@@ -184,6 +184,7 @@ def marker_file(simulation: Simulation, path: Path) -> Path:
     return path
 
 
+@pytest.mark.long
 def test_the_command_prints_and_writes_them(tmp_path: Path, lollypop) -> None:
     simulation = simulated(HEADSET, mocap=MocapNoise(0.1, 0.01))
     write_simulation(simulation, tmp_path / "recording", images=False)
@@ -227,6 +228,7 @@ def test_a_wrong_marker_file_is_told(tmp_path: Path, line: str, message: str) ->
     assert message in str(caught.value)
 
 
+@pytest.mark.long
 def test_scatter_with_frames_left_out_is_that_of_recordings_with_other_noise() -> None:
     """One method, many recordings: what the jackknife of one says of its error, all of them show."""
     method, stated, found = "Shah (AX = ZB)", [], []

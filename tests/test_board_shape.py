@@ -63,6 +63,7 @@ def test_a_board_that_is_not_as_stated_is_sized_and_does_not_matter(what: str, p
     assert not calibration.warnings
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("what", ["bowed", "larger"])
 def test_taken_as_flat_it_matters(what: str) -> None:
     calibration, error_mm = found(what, "exact")

@@ -82,6 +82,7 @@ def test_on_the_axis_every_model_is_a_pinhole(label: str) -> None:
     np.testing.assert_array_equal(J_theta[0], np.eye(2, model.n_parameters, k=2))
 
 
+@pytest.mark.long
 @every_camera
 def test_unproject_inverts_project_over_the_field(label: str) -> None:
     model, theta = camera(label)

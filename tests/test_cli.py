@@ -42,6 +42,7 @@ def in_a_process_of_its_own(code: str) -> str:
 # Help
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "arguments", [["--help"], ["--version"], *([name, "--help"] for name in COMMANDS)], ids=" ".join
 )
@@ -133,6 +134,7 @@ def test_calibrate_writes_the_result_and_prints_a_table_to_judge_it_by(folder: P
     assert files_in(tmp_path) == {"new/calibration.json"}
 
 
+@pytest.mark.long
 def test_quiet_prints_nothing_and_verbose_prints_the_stages(folder: Path, tmp_path: Path) -> None:
     quiet = run("calibrate", folder, "-o", tmp_path / "c.json", "-q")
     assert (quiet.code, quiet.out, quiet.err) == (0, "", "")
@@ -157,6 +159,7 @@ def test_options_reach_the_solver_and_are_kept(folder: Path, tmp_path: Path) -> 
     assert all(camera.theta_covariance is not None for camera in calibration.cameras.values())
 
 
+@pytest.mark.long
 def test_the_result_keeps_the_command_line_and_the_inputs(folder: Path, tmp_path: Path) -> None:
     command = [sys.executable, "-m", "gtcal", "calibrate", str(folder), "-o", str(tmp_path / "c.json"), "-q"]
     ran = subprocess.run(command, capture_output=True, text=True)
@@ -295,6 +298,7 @@ def test_schema_is_json_on_the_screen_and_in_a_file(tmp_path: Path) -> None:
     assert json.loads((tmp_path / "schema.json").read_text()) == schema
 
 
+@pytest.mark.long
 def test_demo_shows_all_of_it_and_how_far_from_the_truth(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Rendered images, detected, calibrated and verified; then the recording is one like any other. The report, whose
     many figures take most of the time, has tests of its own."""
@@ -384,6 +388,7 @@ def test_an_output_that_can_not_be_written_is_named(folder: Path, tmp_path: Path
     assert ran.err.count("\n") == 1
 
 
+@pytest.mark.long
 def test_a_scheduler_ends_it_with_a_line_and_143(folder: Path, tmp_path: Path) -> None:
     """While it writes: nothing half-written stays."""
     code = """

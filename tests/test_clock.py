@@ -164,6 +164,7 @@ def test_the_command_finds_it_keeps_it_and_the_report_uses_it(tmp_path: Path) ->
     assert all(seen.statistics.rmse_px < 0.5 for seen in evidence.cameras.values())
 
 
+@pytest.mark.long
 def test_the_real_recording_wants_an_offset_near_zero(vicon_recording: Callable[..., Path]) -> None:
     wanted = CalibrationOptions(intrinsics="calibrate", clock="estimate", effects=False)
     clock = calibrate(load_recording(vicon_recording()), wanted).clock
@@ -218,6 +219,7 @@ def test_a_rolling_shutter_of_unknown_readout_is_asked_for() -> None:
         calibrate(rolling(None).recording, options())
 
 
+@pytest.mark.long
 def test_a_rolling_shutter_is_kept_in_the_files_and_the_report(tmp_path: Path) -> None:
     simulation = rolling(None, clock_offset_s=0.01)
     write_simulation(simulation, tmp_path / "recording", images=False)

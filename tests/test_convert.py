@@ -80,9 +80,10 @@ def test_one_camera_out_of_several(chain: Path) -> None:
 
 def test_nearest_lenses_are_asked_for_in_reading_and_in_writing(tmp_path: Path) -> None:
     info = tmp_path / "info.yaml"
-    info.write_text(CAMERA_INFO_MESSAGE.replace("0.0, 0.0, 0.0, 0.0]\nk:", "0.01, 0.02, 0.03, 0.01]\nk:"))
+    thin_prism = "0.01, 0.02, 0.03, 0.01, 0.002, 0.0, -0.001, 0.0]\nk:"
+    info.write_text(CAMERA_INFO_MESSAGE.replace("0.0, 0.0, 0.0, 0.0]\nk:", thin_prism))
     out = tmp_path / "out.json"
-    assert "which gtcal has no model of; the nearest pinhole_radtan is off by" in refused(
+    assert "which gtcal has no model of; the nearest pinhole_rational is off by" in refused(
         info, "--to", "umetrack", "-o", out, folder=tmp_path
     )
     ran = run("convert", info, "--to", "umetrack", "-o", out, "--nearest")

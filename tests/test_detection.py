@@ -50,6 +50,7 @@ def rms(errors: np.ndarray) -> float:
 # Accuracy
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("board", "pitch_px", "limit_px"),
     [
@@ -103,6 +104,7 @@ def test_a_fisheye_does_not_draw_corners_towards_the_middle() -> None:
 # Yield
 
 
+@pytest.mark.long
 @each_board
 def test_all_visible_corners_of_a_fisheye_view_are_found(board: Board) -> None:
     filmer = Filmer(FISHEYE, seed=4)
@@ -151,6 +153,7 @@ def test_corners_outside_the_image_are_not_reported() -> None:
         assert view.visible(0, margin_px=2.0)[ids].all()
 
 
+@pytest.mark.long
 @each_board
 @pytest.mark.parametrize("turn_deg", [0.0, 90.0, 180.0, 270.0])
 def test_the_board_may_stand_any_way_round(board: Board, turn_deg: float) -> None:
@@ -189,6 +192,7 @@ def test_pictures_without_a_board_give_no_corners(board: Board) -> None:
         assert corners_px.shape == (0, 2)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("shown", "sought"),
     [

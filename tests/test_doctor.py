@@ -352,6 +352,7 @@ def test_another_capture_is_as_likely_as_inverse_poses(kind: str, said: Capture,
     assert finding.alternatives == (f"write capture: {recording.capture.value}, and {was} in place of {body}",)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kind", SMALL)
 @pytest.mark.parametrize("seed", [0, 1])
 def test_a_clean_recording_is_healthy(kind: str, seed: int, tmp_path: Path) -> None:
@@ -470,6 +471,7 @@ def _vicon(vicon_recording: Callable[..., Path]) -> Recording:
     return _FOUND["vicon"]
 
 
+@pytest.mark.long
 def test_the_real_recording_is_healthy(vicon_recording: Callable[..., Path], vicon: Recording, tmp_path: Path) -> None:
     found = diagnose(vicon_recording(Capture.STANDING_BOARD))  # as it stands, without intrinsics
     assert found.healthy
@@ -547,6 +549,7 @@ def test_a_fault_of_the_real_recording_is_named(name: str, vicon: Recording, tmp
     check(written(fault.change(vicon), tmp_path / "r", fault.lines), fault)
 
 
+@pytest.mark.long
 def test_the_real_files_say_what_board_they_are_of(vicon_recording: Callable[..., Path]) -> None:
     folder = vicon_recording()
     write_lines(folder, ["board.tag_side_m: 0.08"])
@@ -590,6 +593,7 @@ def test_a_right_reading_is_not_suspected(kind: str) -> None:
 # The command
 
 
+@pytest.mark.long
 def test_the_command_prints_and_writes_what_it_found(tmp_path: Path) -> None:
     folder = written(recorded(FIXED), tmp_path / "r", ["board_body.quaternion: xyzw"])
     before = files_in(folder)
@@ -646,6 +650,7 @@ def _rendered(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_simulation(small_simulation(), tmp_path_factory.mktemp("images") / "r", images=True).parent
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("stated", "lines"),
     [

@@ -62,6 +62,7 @@ def test_without_a_fault_nothing_fails_and_nothing_drifts() -> None:
     assert all(verification.faults == () for verification in found.verifications)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("kind", "finding", "cameras"),
     [

@@ -118,6 +118,7 @@ def test_markers_that_slip_are_named_with_time_and_size(body: str, mm: float, de
         assert found.moves_mm[name] == pytest.approx(off_mm, abs=0.15), "it moves cameras by what they are off"
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("px", [1.0, 5.0])
 def test_a_camera_that_is_bumped_is_named(px: float) -> None:
     found = calibrate(bump("side_left", px)(recording()))
@@ -181,6 +182,7 @@ def assert_within(pose: object, true_a_T_b: np.ndarray) -> None:
     assert xi @ np.linalg.solve(pose.covariance, xi) < 28.0
 
 
+@pytest.mark.long
 def test_a_bumped_camera_has_a_pose_before_and_one_after() -> None:
     true_camera_T_ref = simulated(seed=3, frames=FRAMES, mocap=NOISE).truth.camera_T_ref
     options = CalibrationOptions(intrinsics="exact", segments="auto")  # else a shift of pixels is a lens's
@@ -345,6 +347,7 @@ def test_quantities_show_two_digits_of_their_sigma() -> None:
     assert Quantity("", -12.0, 3.1, "us/s").text == "-12.0 us/s ± 3.1"
 
 
+@pytest.mark.long
 def test_effects_and_stretches_survive_the_file(tmp_path: Path) -> None:
     found = stretches("platform")
     write_calibration(tmp_path / "calibration.json", found)

@@ -33,6 +33,7 @@ def nees_per_dof(estimate: PoseEstimate, truth: np.ndarray) -> float:
     return float(xi @ np.linalg.solve(estimate.covariance, xi) / 6)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("capture", list(Capture))
 def test_the_prior_has_the_covariance_of_the_composed_and_interpolated_noise(capture):
     rng = np.random.default_rng(0)

@@ -23,11 +23,13 @@ def test_calibrate_and_verify(capsys: pytest.CaptureFixture[str]) -> None:
     assert set(figures) == {"cameras", "residuals", "residuals_over_time", "heat_maps"}
 
 
+@pytest.mark.long
 def test_more_of_the_motion_lowers_the_uncertainty() -> None:
     before, after = example_uncertainty.main()
     assert all(after[name] < 0.6 * before[name] for name in before)
 
 
+@pytest.mark.long
 def test_an_own_camera_model(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(example_own_camera_model, "register_camera_model", _registered_for(monkeypatch))
     calibration = example_own_camera_model.main()

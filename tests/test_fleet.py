@@ -376,6 +376,7 @@ def _batch_in_a_child(store: Store, jobs: tuple[Job, ...], told_file: Path) -> N
         os._exit(0)
 
 
+@pytest.mark.long
 def test_killed_workers_are_replaced_and_recorded(fleet: Fleet, tmp_path: Path) -> None:
     """On a real cluster: a worker that dies once, jobs that always kill theirs or run out of memory, and the others."""
     (calibrate, *verify) = [job for job in fleet.jobs if job.rig == "rig01"]
@@ -440,6 +441,7 @@ def test_a_batch_that_is_stopped_goes_on_later(fleet: Fleet, tmp_path: Path) -> 
 # --- what is shown
 
 
+@pytest.mark.long
 def test_the_site_in_a_browser(fleet: Fleet, copied: Store, tmp_path: Path) -> None:
     record = next(r for r in map(read_record, copied.record_files()) if r.kind == "verify" and r.rig == "rig02")
     hostile = replace(record, rig="<img src=x onerror=alert(1)>", name="a & b")

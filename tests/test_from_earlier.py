@@ -81,6 +81,7 @@ def test_the_joint_prior_is_its_covariance_and_its_jacobian_numeric() -> None:
         JointPriorFactor([1], [pose.matrix()], np.eye(5))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("frames", "gain"), [(8, 0.6), (40, 0.9)])
 def test_a_recording_of_a_rig_that_did_not_move_is_surer_and_true(
     first: Simulation, earlier: EarlierCalibration, frames: int, gain: float
@@ -114,6 +115,7 @@ def test_a_camera_that_was_bumped_is_named_and_found_anew(first: Simulation, ear
     assert nees < 2.0
 
 
+@pytest.mark.long
 def test_markers_that_were_set_anew_leave_the_rig_known(first: Simulation, earlier: EarlierCalibration) -> None:
     anew = RigFault(markers=small_motion((20.0, -10.0, 5.0), (3.0, 10.0, -4.0)))
     takes = [take(first, number, 8, anew) for number in (2, 3, 4)]
@@ -175,6 +177,7 @@ def test_what_makes_no_sense_is_refused(first: Simulation, earlier: EarlierCalib
         EarlierCalibration(earlier.calibration, parts=("poses",))
 
 
+@pytest.mark.long
 def test_recordings_of_one_rig_together_are_surer_than_each(first: Simulation) -> None:
     takes = [take(first, number, 12) for number in (2, 3, 4)]
     together = calibrate_jointly([one.recording for one in takes], OPTIONS)
@@ -190,6 +193,7 @@ def test_recordings_of_one_rig_together_are_surer_than_each(first: Simulation) -
     assert len(together.provenance.inputs) == sum(len(one.recording.inputs) for one in takes)
 
 
+@pytest.mark.long
 def test_what_moves_between_recordings_is_named_and_not_shared(first: Simulation) -> None:
     takes = [take(first, 2, 30), take(first, 3, 30, BUMP)]
     together = calibrate_jointly([one.recording for one in takes], OPTIONS)

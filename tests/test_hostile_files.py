@@ -151,6 +151,7 @@ def test_depth_is_bounded(suffix: str, tmp_path: Path) -> None:
                 load_document(tmp_path / f"file{suffix}")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("reader", ["recording", "device", "board", "cameras", "priors", "document"])
 @pytest.mark.parametrize("kind", ["itself", "many"])
 def test_an_alias_to_itself_or_to_far_too_much(reader: str, kind: str, tmp_path: Path) -> None:

@@ -90,6 +90,7 @@ LOSSLESS = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("source", LOSSLESS)
 def test_the_corners_are_those_of_the_image_files(source: str, rendered: Path, tmp_path: Path) -> None:
     folder = copied(rendered, tmp_path / "copy", LOSSLESS[source])

@@ -182,6 +182,7 @@ def test_a_lollypop_recording_is_shown(tmp_path: Path) -> None:
     assert kind_of(tmp_path / "lollypop") is Kind.LOLLYPOP_RECORDING
 
 
+@pytest.mark.long
 def test_results_are_shown_with_their_pictures(tmp_path: Path) -> None:
     write_recording(simulated(frames=20).recording, tmp_path / "board")
     calibration, verification = tmp_path / "calibration.json", tmp_path / "verification.json"

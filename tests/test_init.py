@@ -225,6 +225,7 @@ def views(board: Board, folder: Path, widths_away: float = 1.6) -> Path:
     return folder
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("board", "kind", "dictionary", "arranged"),
     [

@@ -70,6 +70,7 @@ LENSES = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("model", list(LENSES))
 def test_each_model_recovers_its_lens(model: str) -> None:
     """From 60 frames with 0.1 px of noise: all over the image, the middle to 0.15 px, nearly all to 0.5 px."""
@@ -141,6 +142,7 @@ def test_too_few_views_are_refused() -> None:
         calibrate_intrinsics(select_corners(views, only_first_tag))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("model", ["pinhole_radtan", "fisheye62"])
 @pytest.mark.parametrize("what", ["pixels anywhere", "another board", "all on one pixel", "a board that is a line"])
 def test_views_of_something_else_are_refused(model: str, what: str) -> None:
@@ -156,6 +158,7 @@ def test_views_of_something_else_are_refused(model: str, what: str) -> None:
         calibrate_intrinsics(replace(views, **spoilt))
 
 
+@pytest.mark.long
 def test_a_fisheye_stated_as_a_pinhole_is_refused_with_what_fits_better() -> None:
     views = views_of(recording_with("kannala_brandt4"))
     as_pinhole = replace(views, camera=replace(views.camera, model=PINHOLE_RADTAN))
@@ -190,6 +193,7 @@ def test_refinement_brings_wrong_intrinsics_to_the_truth(prior: str) -> None:
         assert np.median(found) < 0.3
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("model", ["pinhole_rational", "double_sphere", "extended_unified", "mei_omni"])
 def test_each_model_is_refined_beside_the_extrinsics(model: str) -> None:
     """Near what is stated (--intrinsics auto) and without trusting it (refine)."""

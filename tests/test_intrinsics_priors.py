@@ -23,8 +23,8 @@ def information(prior: gtsam.NonlinearFactor, theta: np.ndarray) -> np.ndarray:
 
 
 def centred(model: CameraModel, focal_px: float) -> np.ndarray:
-    """A 640 x 480 camera without distortion."""
-    return np.array([focal_px, 2 * focal_px, 319.5, 239.5, *np.zeros(model.n_parameters - 4)])
+    """A 640 x 480 camera without distortion, or with what a model has in its place."""
+    return np.array([focal_px, 2 * focal_px, 319.5, 239.5, *model.undistorted])
 
 
 @every_camera

@@ -42,6 +42,7 @@ def write_over(recording: Recording, folder: Path) -> None:
     write_recording(recording, folder)
 
 
+@pytest.mark.long
 def test_it_grows_surer_says_what_is_missing_and_when_it_is_enough(tmp_path: Path) -> None:
     whole = simulated(HEADSET, seed=1, frames=120, mocap=NOISY, duration_s=80.0).recording
     looks = []
@@ -57,6 +58,7 @@ def test_it_grows_surer_says_what_is_missing_and_when_it_is_enough(tmp_path: Pat
     assert looks[-1].n_views["front_left"] > looks[0].n_views["front_left"] > 0
 
 
+@pytest.mark.long
 def test_a_look_is_about_as_sure_as_the_calibration_will_be(tmp_path: Path) -> None:
     """Some of the views are looked at; what they make of all is what calibrating all of them gives."""
     recording = simulated(HEADSET, seed=1, frames=120, mocap=NOISY, duration_s=80.0).recording
@@ -118,6 +120,7 @@ def test_it_goes_without_a_figure(tmp_path: Path) -> None:
     assert "--live prints what it sees" in ran.err
 
 
+@pytest.mark.long
 def test_the_command_watches_until_it_is_ended(tmp_path: Path) -> None:
     write_over(simulated(HEADSET, seed=1, frames=60, mocap=NOISY).recording, tmp_path / "r")
     arguments = [sys.executable, "-m", "gtcal", "info", str(tmp_path / "r"), "--live"]

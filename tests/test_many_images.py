@@ -186,6 +186,7 @@ def test_a_mocap_that_does_not_fit_guides_nothing(
     np.testing.assert_array_equal(found.corners_px, searched.corners_px)
 
 
+@pytest.mark.long
 def test_what_was_guided_by_another_mocap_is_not_reused(
     recording_dir: Path, few_are_many: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -240,6 +241,7 @@ def test_processes_find_what_threads_find(recording_dir: Path, in_processes: Non
     assert alone.n_corners > 100
 
 
+@pytest.mark.long
 def test_a_process_that_dies_is_one_clear_error(recording_dir: Path, in_processes: None) -> None:
     images = image_folder(recording_dir / "images" / "front_left")
     with pytest.raises(GtcalError, match=r"was ended from outside.*--jobs"):
@@ -253,6 +255,7 @@ def test_images_of_another_size_are_refused_by_a_process(recording_dir: Path, in
         detect(images, PAPER_A2, FISHEYE, workers=2)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("end", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_ends_it_in_a_line_and_leaves_nobody_behind(recording_dir: Path, tmp_path: Path, end: int) -> None:
     folder = shutil.copytree(recording_dir, tmp_path / "recording")

@@ -106,6 +106,7 @@ def test_a_recording_of_rich_motion_passes_without_a_warning(kind: str) -> None:
     assert check_turning(turning(v.ref_T_body for v in views.values())) is None
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kind", FULLY_TRACKED)
 @pytest.mark.parametrize(("motion", "named"), [("single_axis", "single axis"), ("translation", "pure translation")])
 def test_a_degenerate_recording_is_refused_and_solved_only_if_asked_to(kind: str, motion: str, named: str) -> None:

@@ -122,6 +122,7 @@ def written(tmp_path: Path) -> Callable[[Case], tuple[Path, bytes, Trajectory]]:
 Written = Callable[[Case], tuple[Path, bytes, Trajectory]]
 
 
+@pytest.mark.long
 @each_case
 def test_the_file_is_recognised_by_its_head(case: Case, written: Written) -> None:
     path, data, truth = written(case)
@@ -263,6 +264,7 @@ def test_real_exports_cut_off_anywhere(
     assert seen == {"refused", "read"}
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kind", ["motive", "trc"])
 def test_a_million_rows_would_take_seconds(kind: str, tmp_path: Path) -> None:
     """50,000 rows in a twentieth of the time that is allowed for a million: twenty seconds of a processor."""

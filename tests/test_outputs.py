@@ -198,6 +198,7 @@ def test_a_device_stays_one() -> None:
     assert stat.S_ISCHR(Path("/dev/null").stat().st_mode)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "arguments",
     [
@@ -216,6 +217,7 @@ def test_what_reads_standard_output_gets_the_file_and_no_words(arguments: list[s
     assert done.stderr or arguments[0] == "schema"
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("to", ["pipe", "file"])
 def test_standard_output_takes_a_file(to: str, ground: Path, tmp_path: Path) -> None:
     command = [sys.executable, "-m", "gtcal", "export", "cal.json", "--to", "numpy", "-o", "/dev/stdout"]

@@ -119,6 +119,7 @@ def _pose(board: Board, turn_deg: float) -> FloatArray:
     return T
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("board", "limit_px"),
     [

@@ -74,12 +74,14 @@ def test_the_jacobians_are_numeric_ones(model: type[AbsolutePoses] | type[PoseSt
     np.testing.assert_allclose(J.reshape(-1, 12), numeric_derivative(residuals, np.zeros(12), 1e-6), atol=1e-7)
 
 
+@pytest.mark.long
 def test_the_covariance_is_true() -> None:
     arms = [Arm(seed, 40) for seed in range(16)]
     nees = [arm.nees(calibrate_poses(arm.ref_T_body, arm.measured(*NOISE))) for arm in arms]
     assert 0.7 < np.mean(nees) < 1.5
 
 
+@pytest.mark.long
 def test_noise_that_differs_by_direction_is_weighed_so() -> None:
     """Against equal weights: as all of it were noise alike in all directions."""
     arms = [Arm(seed, 60) for seed in range(8)]

@@ -87,6 +87,7 @@ def test_the_jacobians_are_numeric_ones(stated: bool) -> None:
     np.testing.assert_allclose(J, numeric_derivative(residual, np.zeros(12), 1e-6), atol=1e-5 * np.abs(J).max())
 
 
+@pytest.mark.long
 def test_the_truth_lies_where_the_covariance_says() -> None:
     nees = []
     for seed in range(4):

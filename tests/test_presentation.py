@@ -50,6 +50,7 @@ def test_it_prints_as_the_terminals_table(results: Results, which: str) -> None:
     assert all(name in shown for name in names)
 
 
+@pytest.mark.long
 @EACH
 def test_its_html_holds_no_markup_of_the_results_own(results: Results, which: str) -> None:
     page = getattr(results, which)._repr_html_()
@@ -91,6 +92,7 @@ def test_data_frames_hold_the_numbers(results: Results) -> None:
     assert len(results.difference.to_pandas()) == len(results.difference.changes)
 
 
+@pytest.mark.long
 def test_figures_are_matplotlibs_and_can_be_saved(results: Results) -> None:
     calibration, verification = results.calibration, results.verification
     for figure in (

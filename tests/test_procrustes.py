@@ -225,6 +225,7 @@ def _flip(guide: GuideViews) -> np.ndarray:
     return poses
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kind", [HEADSET, FIXED, "one carried camera"])
 def test_a_third_of_swapped_frames_is_seen_through(kind: str) -> None:
     """With the swaps told by their turns alone, before anything is known of X: four recordings of each kind."""

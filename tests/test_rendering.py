@@ -113,6 +113,7 @@ def cast_rays(camera: Camera, board: Board, camera_T_board: np.ndarray, pixels_p
     return np.where(on_plate, grey, np.where(valid, ROOM_GREY, 0.0))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("model", list(CAMERA_MODELS))
 def test_a_pixel_is_the_mean_over_its_square(model: str) -> None:
     """Against casting 14 x 14 rays through every pixel."""
@@ -168,6 +169,7 @@ def test_edges_are_where_projection_says_to_a_thousandth_of_a_pixel() -> None:
         assert dark @ places / dark.sum() == pytest.approx((low + high) / 2, abs=0.003)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("capture", [Capture.TRACKED_PLATFORM, Capture.FIXED_CAMERAS])
 def test_saddles_are_where_projection_says(capture: Capture) -> None:
     """Corners found by the gradient method of OpenCV, which shares nothing with the renderer."""

@@ -106,6 +106,7 @@ def test_images_are_detected_with_the_recordings_own_lenses(
     assert found.cameras["cam0"].camera is calibration.cameras["cam0"].camera
 
 
+@pytest.mark.long
 def test_another_recording_is_a_hold_out(folder: Path, calibration: Calibration, recording: Recording) -> None:
     other = SimulationOptions(rig=fixed_cameras_rig(2), capture=Capture.FIXED_CAMERAS, n_frames=20)
     write_simulation(simulate(other, seed=6), folder / "other", images=False)
@@ -296,6 +297,7 @@ def test_the_scene_shows_the_board_in_its_size(calibration: Calibration, evidenc
         np.testing.assert_allclose(sides, np.tile([x_max - x_min, y_max - y_min], 2), atol=5e-4)
 
 
+@pytest.mark.long
 def test_gtcal_report_writes_the_page(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     output = folder / "pages" / "report.html"
     arguments = [str(folder / "calibration.json"), "--recording", str(folder / "recording"), "-o", str(output)]
@@ -318,6 +320,7 @@ def test_only_the_report_loads_matplotlib() -> None:
     assert done.stdout.strip() == "set()"
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("width_px", [1400, 400])
 def test_the_page_in_a_browser(calibration: Calibration, evidence: Evidence, tmp_path: Path, width_px: int) -> None:
     write_report(tmp_path / "report.html", calibration, evidence=evidence)

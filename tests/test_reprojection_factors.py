@@ -72,6 +72,7 @@ def test_error_gradient_and_hessian_are_the_same(label: str, free: dict[str, boo
     np.testing.assert_allclose(fused_g, g, rtol=1e-9, atol=1e-9 * np.abs(g).max())
 
 
+@pytest.mark.long
 @every_choice_of_variables
 @every_kernel
 def test_the_gradient_is_the_derivative_of_the_error(free: dict[str, bool], kernel: str) -> None:

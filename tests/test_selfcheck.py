@@ -94,6 +94,7 @@ def test_blocks_of_time_are_whole_and_in_order() -> None:
         check_observations(observations, CalibrationOptions(), n_folds=1)
 
 
+@pytest.mark.long
 def test_halves_that_determine_nothing_are_a_note() -> None:
     observations = observed(0)
     late = np.arange(observations.n_frames) >= 0.52 * observations.n_frames
@@ -104,6 +105,7 @@ def test_halves_that_determine_nothing_are_a_note() -> None:
     assert "no split-half check" in check.notes[0]
 
 
+@pytest.mark.long
 def test_a_block_without_which_there_is_no_calibration_is_named_and_the_others_count() -> None:
     observations = observed(0)
     views = observations.views["side_left"]
@@ -119,6 +121,7 @@ def test_a_block_without_which_there_is_no_calibration_is_named_and_the_others_c
     assert np.isnan(default.by_camera_px["side_left"])
 
 
+@pytest.mark.long
 def test_a_block_that_the_others_do_not_predict_is_named() -> None:
     observations = observed(1)
     last = time_blocks(observations, 5) == 4

@@ -61,6 +61,7 @@ def nees_per_dof(calibration: Calibration, seed: int) -> float:
     return float(np.mean(squares))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", range(3))
 def test_an_arms_joints_are_found_and_the_sigma_holds(seed: int) -> None:
     calibration = found("joints", seed)

@@ -315,6 +315,7 @@ def test_a_large_share_of_gross_views_is_warned_of() -> None:
     assert not any("contradict" in warning for warning in calibrated(simulated(HEADSET, swap_share=0.05)).warnings)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kind", [HEADSET, FIXED])
 def test_a_mocap_that_does_not_go_with_the_images_is_warned_of(kind: str) -> None:
     """Clocks 50 ms apart: the views by themselves fit to the pixel noise, in the chain they are pixels off."""
@@ -337,6 +338,7 @@ def test_without_screening_a_redescending_kernel_copes_and_the_numbers_stay_fini
     assert all(drop.reason == AT_EDGE for drop in calibration.dropped)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", list(ROBUST_KERNELS))
 def test_every_kernel_solves(name: str) -> None:
     simulation = simulated(HEADSET, mocap=GOOD_MOCAP)

@@ -95,6 +95,7 @@ def test_table_1() -> None:
     assert [table.row_count for table in table1_benchmark.tables([result, result])] == [4, 4]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("variant", table2_ablation.VARIANTS, ids=lambda variant: variant.name)
 def test_table_2(variant: table2_ablation.Variant) -> None:
     found = [table2_ablation.outcome((variant, seed)) for seed in range(2)]
@@ -119,6 +120,7 @@ def test_effects() -> None:
     assert study_effects.table_of(found).row_count == len(cases)
 
 
+@pytest.mark.long
 def test_boards() -> None:
     """What a bow does where the board is taken as flat, and that it does nothing by default."""
     runs = [study_board.Run("bow 1 mm", way, 70_000) for way in ("board exact, intrinsics auto", "default")]

@@ -140,6 +140,7 @@ def before(camera: CameraCalibration, n: int, *, distance_m: float = 1.5, share:
     return placed(camera.camera, camera.camera_T_ref.a_T_b, pixels_px, np.full(n, distance_m))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("calibrated", [refined, fixed])
 def test_closed_forms_are_what_samples_scatter_by(calibrated) -> None:
     calibration = calibrated()

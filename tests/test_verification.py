@@ -287,6 +287,7 @@ def test_too_little_shown_is_inconclusive_not_pass() -> None:
 # -- findings
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", range(10, 18))
 def test_a_true_calibration_raises_no_suspicion(seed: int) -> None:
     found = verified_fault(RigFault(), seed=seed, mocap=MocapNoise(0.1, 0.01, correlation_s=0.1))
@@ -294,6 +295,7 @@ def test_a_true_calibration_raises_no_suspicion(seed: int) -> None:
     assert found.verdict is Verdict.PASS
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["front_left", "front_right", "side_left", "side_right"])
 @pytest.mark.parametrize("motion", [((0.0, 0.0, 0.0), (0.0, 0.1, 0.0)), ((0.6, 0.0, 0.8), (0.0, 0.0, 0.0))])
 def test_a_camera_that_moved_is_named_with_its_motion(name: str, motion: tuple[tuple[float, ...], ...]) -> None:

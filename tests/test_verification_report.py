@@ -92,6 +92,7 @@ def test_the_verdict_and_its_reasons_come_first(case: Case, page: str) -> None:
     assert headline.index("Fail") < headline.index("Calibrated with")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("verdict", "sign", "word"),
     [(Verdict.PASS, "✓", "Pass"), (Verdict.FAIL, "✕", "Fail"), (Verdict.INCONCLUSIVE, "?", "Inconclusive")],
@@ -149,6 +150,7 @@ def test_an_image_that_is_gone_is_one_line(case: Case) -> None:
         render(case.calibration, verification=broken)
 
 
+@pytest.mark.long
 def test_without_images_or_sightings_the_page_says_so(case: Case) -> None:
     imageless = replace(_of_moved(case.verification), recording=replace(case.recording, images={}))
     assert "has no images, so the worst frames" in render(case.calibration, verification=imageless)
@@ -205,6 +207,7 @@ def test_the_commands_write_it(case: Case, capsys: pytest.CaptureFixture[str]) -
     assert "is the verification of another calibration" in capsys.readouterr().err
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("width_px", [1400, 400])
 def test_the_page_in_a_browser(case: Case, tmp_path: Path, width_px: int) -> None:
     write_report(tmp_path / "report.html", case.calibration, verification=case.verification)

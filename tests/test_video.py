@@ -172,6 +172,7 @@ def test_damage_in_h264_is_mostly_told(tmp_path: Path) -> None:
     assert found.count("told") >= 20
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("codec", ["libx264", "libx265"])
 def test_a_healthy_video_whose_groups_are_open_is_read_in_any_order(codec: str, tmp_path: Path) -> None:
     parameters = f"{codec.removeprefix('lib')}-params"

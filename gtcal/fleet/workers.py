@@ -121,19 +121,27 @@ class DaskWorkers:
         self._futures.pop(number)
         try:
             return Finished(number, future.result())
-        except MemoryError:
+        except Exception as error:
             self._tries[number] = self._tries.get(number, 0) + 1
-            if self._tries[number] <= RETRIES:
+            if _may_end_well(error) and self._tries[number] <= RETRIES:
                 self.submit(number, task)
                 return None
-            return Finished(number, None, f"it ran out of memory, {RETRIES + 1} times")
-        except Exception as error:
             return Finished(number, None, _words(error))
+
+
+def _may_end_well(error: Exception) -> bool:
+    """At another time, elsewhere: where memory was short, or the process was killed, perhaps by another job that had
+    it before or after."""
+    from distributed import KilledWorker
+
+    return isinstance(error, MemoryError | KilledWorker)
 
 
 def _words(error: Exception) -> str:
     from distributed import KilledWorker
 
+    if isinstance(error, MemoryError):
+        return f"it ran out of memory, {RETRIES + 1} times"
     if isinstance(error, KilledWorker):
         return "its workers were killed, by the system or for the memory that it took"
     return f"its worker failed: {type(error).__name__}: {error}"
