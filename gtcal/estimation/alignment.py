@@ -66,7 +66,9 @@ class GuideViews:
         chosen = select_views(views, pnp.view_index)
         moments = corner_moments(chosen.view_start, chosen.corners_m)
         poses = pnp.camera_T_board[:, None] @ inverse(chosen.board_turns)[:, None]
-        return GuideViews(chosen, poses.reshape(len(poses), poses.shape[1] * poses.shape[2], 4, 4), pnp.median_px[:, 0], moments)
+        return GuideViews(
+            chosen, poses.reshape(len(poses), poses.shape[1] * poses.shape[2], 4, 4), pnp.median_px[:, 0], moments
+        )
 
     @property
     def start(self) -> IntArray:
