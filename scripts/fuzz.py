@@ -360,7 +360,7 @@ def _results(folder: Path) -> list[Target]:
     write_calibration(folder / "cal.json", calibration)
     write_verification(folder / "ver.json", verify(load_lollypop_recording(folder / "lollypop"), calibration))
     found = next(iter(simulation.recording.detections.values()))
-    _write_cache(folder / "cache.npz", found, "")
+    _write_cache(folder / "cache.npz", found, {})
     return [
         Target("calibration", folder / "cal.json", partial(read_calibration, folder / "cal.json")),
         Target("verification", folder / "ver.json", partial(read_verification, folder / "ver.json")),
