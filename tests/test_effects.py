@@ -296,6 +296,7 @@ def test_a_clock_is_never_asked_where_poses_are_known_at_the_images_alone() -> N
     assert not {"clock offset", "clock drift", "platform lag"} & set(names)
 
 
+@pytest.mark.long
 def test_no_effects_where_the_mocap_is_exact_or_none_are_asked_for() -> None:
     given = recording()
     assert calibrate(given, CalibrationOptions(mocap="exact")).effects == ()

@@ -57,6 +57,7 @@ def _registered_for(monkeypatch: pytest.MonkeyPatch):
     return register
 
 
+@pytest.mark.long
 def test_an_own_effect() -> None:
     clean, creeping = example_own_effect.main(n_frames=200).values()
     assert not clean.significant

@@ -207,6 +207,7 @@ def test_what_moves_between_recordings_is_named_and_not_shared(first: Simulation
         calibrate_jointly([one.recording for one in takes], CalibrationOptions(segments="auto"))
 
 
+@pytest.mark.long
 def test_the_command_goes_on_from_a_file(first: Simulation, earlier: EarlierCalibration, tmp_path: Path) -> None:
     write_calibration(tmp_path / "first.json", earlier.calibration)
     write_simulation(take(first, 2, 20, BUMP), tmp_path / "r", images=False)

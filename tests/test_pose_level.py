@@ -103,6 +103,7 @@ def test_gross_views_do_not_decide(share: float) -> None:
     assert found.weights[gross].max() < 0.2 * np.median(np.delete(found.weights, gross))
 
 
+@pytest.mark.long
 def test_poses_that_drift_are_taken_by_their_steps() -> None:
     """As of a visual odometry: each step is measured, and their errors add up."""
     arm = Arm(4, 200)

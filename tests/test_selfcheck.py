@@ -60,6 +60,7 @@ def test_a_camera_that_moved_half_way_is_told() -> None:
     assert "side_left most: something moved or drifted" in check.halves.statement
 
 
+@pytest.mark.long
 def test_every_frame_is_held_out_once_and_the_default_is_the_best(found: list[SelfCheck]) -> None:
     for check in found:
         by_stage = {hold_out.stage: hold_out for hold_out in check.hold_outs}
@@ -134,6 +135,7 @@ def test_a_block_that_the_others_do_not_predict_is_named() -> None:
     assert "something differs in that time" in check.notes[0]
 
 
+@pytest.mark.long
 def test_halves_are_judged_by_the_covariance_of_the_whole_recording(found: list[SelfCheck]) -> None:
     whole = found[0].calibration
     halves = time_blocks(observed(0), 2)

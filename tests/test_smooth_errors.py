@@ -75,6 +75,7 @@ def test_an_arms_joints_are_found_and_the_sigma_holds(seed: int) -> None:
     assert "those of 'platform' vary with where it is" in warning
 
 
+@pytest.mark.long
 def test_the_estimate_is_better_for_it() -> None:
     def off_mm(estimate: object, seed: int) -> float:
         true_T = simulation(seed).truth.camera_T_ref

@@ -31,6 +31,7 @@ def _outcomes() -> list[study_coverage.Outcome]:
     return [study_coverage.outcome(run) for run in runs]
 
 
+@pytest.mark.long
 def test_the_stated_covariance_is_true_and_the_naive_one_is_not(outcomes: list[study_coverage.Outcome]) -> None:
     deviations = [d for outcome in outcomes for d in outcome.deviations]
     default = [d for d in deviations if d.kind == study_coverage.DEFAULT]
@@ -73,6 +74,7 @@ def test_kernels(tmp_path: Path) -> None:
     assert (tmp_path / "kernels.png").stat().st_size > 10_000
 
 
+@pytest.mark.long
 def test_priors(tmp_path: Path) -> None:
     poor = list(study_priors.MOTIONS)[1]
     without, true, wrong = (
@@ -130,6 +132,7 @@ def test_boards() -> None:
     assert study_board.table_of([exact, default]).row_count == 2
 
 
+@pytest.mark.long
 def test_halves() -> None:
     observations = synchronise(simulated(HEADSET, frames=60).recording)
     for cut in study_halves.CUTS:

@@ -189,6 +189,7 @@ def test_a_verification_of_other_cameras_is_refused(case: Case) -> None:
         render(lesser, verification=case.verification)
 
 
+@pytest.mark.long
 def test_the_commands_write_it(case: Case, capsys: pytest.CaptureFixture[str]) -> None:
     calibration, lollypop = str(case.folder / "calibration.json"), str(case.folder / "lollypop")
     verification, page = case.folder / "verification.json", case.folder / "verify.html"
