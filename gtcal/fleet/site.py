@@ -11,7 +11,7 @@ from importlib.resources import files
 from pathlib import Path
 from urllib.parse import quote
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
+from jinja2 import Environment
 from markupsafe import Markup
 
 from gtcal.errors import GtcalError
@@ -22,7 +22,7 @@ from gtcal.fleet.jobs import utc
 from gtcal.fleet.measures import BOARD, RIG
 from gtcal.fleet.run_job import REPORT
 from gtcal.fleet.store import Store
-from gtcal.plain import printable
+from gtcal.pages import page_environment
 from gtcal.progress import Progress, silent
 
 MARK = ".gtcal-site"
@@ -85,14 +85,7 @@ def _write(path: Path, text: str) -> None:
 
 
 def _environment() -> Environment:
-    environment = Environment(
-        loader=PackageLoader("gtcal.fleet", "templates"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        finalize=lambda value: value if hasattr(value, "__html__") else printable(str(value)),
-    )
+    environment = page_environment("gtcal.fleet")
     environment.globals["style"] = _text("gtcal.report", "report.css") + _text("gtcal.fleet", "fleet.css")
     environment.globals["script"] = _text("gtcal.fleet", "fleet.js")
     return environment

@@ -6,11 +6,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
-
 from gtcal.files import write_text
 from gtcal.fleet.watch import Seen
-from gtcal.plain import printable
+from gtcal.pages import page_environment
 
 _TO_DO = {
     "pass": "The calibration holds. Go on.",
@@ -56,10 +54,4 @@ def verdict(seen: Seen) -> Shown:
 
 def write_page(path: Path, shown: Shown) -> None:
     """Write the page. Raises GtcalError where it can't be written."""
-    environment = Environment(
-        loader=PackageLoader("gtcal.fleet", "templates"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        finalize=lambda value: printable(str(value)),
-    )
-    write_text(path, environment.get_template("watch.html.j2").render(shown=shown))
+    write_text(path, page_environment("gtcal.fleet").get_template("watch.html.j2").render(shown=shown))

@@ -7,12 +7,12 @@ import hashlib
 import math
 from pathlib import Path
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
+from jinja2 import Environment
 from markupsafe import Markup
 
 from gtcal.errors import GtcalError
 from gtcal.files import write_text
-from gtcal.plain import printable
+from gtcal.pages import page_environment
 from gtcal.progress import Progress, silent
 from gtcal.report.calibration_part import calibration_part
 from gtcal.report.evidence import Evidence
@@ -70,22 +70,10 @@ def _check_cameras(calibration: Calibration, verification: Verification) -> None
 
 
 def _environment() -> Environment:
-    environment = Environment(
-        loader=PackageLoader("gtcal.report", "templates"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        finalize=_shown,
-    )
+    environment = page_environment("gtcal.report")
     environment.filters["number"] = _number
     environment.filters["sha256"] = _source
     return environment
-
-
-def _shown(value: object) -> object:
-    """What is put into the page, before it is escaped."""
-    return value if hasattr(value, "__html__") else printable(str(value))
 
 
 def _own_text(environment: Environment, name: str) -> Markup:
