@@ -29,7 +29,7 @@ from factors.rigid import exponential, pose_at, right_jacobian
 from factors.robust import GAUSSIAN, AnyKernel
 
 _AT_ONCE = 256  # frames: their moments take up to 60 kB each
-_MOST_REFINEMENTS = 8
+_MOST_REFINEMENTS = 8  # one or two are enough for noise of millimetres
 _PROMISE = 1e-9
 """The z_f are good where a step over them promises to lower the error by less than this share of (1 + error): the
 promise itself is taken, and what is left is of the next order."""

@@ -20,7 +20,8 @@ if TYPE_CHECKING:
     from distributed import Client
 
 RETRIES = 2
-"""How often a task is tried again elsewhere after its worker was killed, or ran out of memory."""
+"""How often a task is handed out again after its worker was killed, or ran out of memory. Of killed workers Dask itself
+bears as many before it gives a task up, be it only that it shared one with a task that kills."""
 
 _COUNT_EVERY_S = 1.0
 _NONE_LEFT_S = 120.0
