@@ -41,7 +41,7 @@ KEY_FRAMES = SimulationOptions(n_frames=80, duration_s=60.0, mocap=MocapNoise(0.
 DENSE = replace(KEY_FRAMES, n_frames=120, duration_s=12.0)
 
 
-def _lens_off(focal_share: float, centre_px: float) -> SimulationOptions:
+def lens_off(focal_share: float, centre_px: float) -> SimulationOptions:
     """The intrinsics that are stated are off by so much, 1-sigma."""
     error = IntrinsicsError(focal_share, centre_px, distortion_share=0.003)
     return replace(KEY_FRAMES, mocap=WHITE, intrinsics="perturbed", intrinsics_error=error)
@@ -61,9 +61,9 @@ SCENARIOS = {
 
 NOISY = replace(KEY_FRAMES, mocap=WHITE)
 SYSTEMATIC: dict[str, tuple[SimulationOptions, Spoil | None, float]] = {
-    "lens 0.1 %, 1 px off": (_lens_off(0.001, 1.0), None, 0.0),
-    "lens 0.3 %, 3 px off": (_lens_off(0.003, 3.0), None, 0.0),
-    "lens 0.7 %, 3 px off": (_lens_off(0.007, 3.0), None, 0.0),
+    "lens 0.1 %, 1 px off": (lens_off(0.001, 1.0), None, 0.0),
+    "lens 0.3 %, 3 px off": (lens_off(0.003, 3.0), None, 0.0),
+    "lens 0.7 %, 3 px off": (lens_off(0.007, 3.0), None, 0.0),
     "print 0.2 % too large": (NOISY, scale, 0.2),
     "board bowed by 0.5 mm": (NOISY, bow, 0.5),
     "platform creeps by 0.3 mm": (NOISY, slow_drift("platform"), 0.3),
@@ -150,16 +150,16 @@ def _deviations(
     run: Run, simulation: Simulation, estimate: Estimate, covariance: JointCovariance, kind: str
 ) -> Iterator[Deviation]:
     truth = simulation.truth
-    yield _deviation(run, "X", "", kind, _xi(estimate.body_T_board, truth.body_T_board), covariance.body_T_board)
+    yield _deviation(run, "X", "", kind, tangent(estimate.body_T_board, truth.body_T_board), covariance.body_T_board)
     for name, pose in estimate.camera_T_ref.items():
-        xi = _xi(pose, truth.camera_T_ref[name])
+        xi = tangent(pose, truth.camera_T_ref[name])
         yield _deviation(run, "Y", name, kind, xi, covariance.camera_T_ref(name))
         of_theta = covariance.theta(name)
         if of_theta is not None:
             yield _deviation(run, "theta", name, kind, truth.intrinsics[name] - estimate.theta[name], of_theta)
 
 
-def _xi(found_T: FloatArray, true_T: FloatArray) -> FloatArray:
+def tangent(found_T: FloatArray, true_T: FloatArray) -> FloatArray:
     return np.asarray(gtsam.Pose3.Logmap(gtsam.Pose3(inverse(found_T) @ true_T)))
 
 

@@ -73,6 +73,7 @@ def test_corners_are_found_without_bias(board: Board, pitch_px: float, limit_px:
     assert np.abs(errors.mean(axis=0)).max() < 0.005
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("options", "limit_px"),
     [

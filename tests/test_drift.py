@@ -151,6 +151,7 @@ def test_the_table_as_csv(tmp_path: Path) -> None:
     )
 
 
+@pytest.mark.long
 def test_drift_from_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     simulations = series("markers")
     write_calibration(tmp_path / "calibration.json", simulations[0].true_calibration())

@@ -50,6 +50,7 @@ def test_a_true_calibration_agrees_with_its_covariance() -> None:
     assert all(0.01 < expected.predicted_px < 0.1 for expected in found)
 
 
+@pytest.mark.long
 def test_a_camera_that_moved_since_does_not() -> None:
     cameras = verified(1, moved=True).cameras
     assert {name: camera.expected.agrees for name, camera in cameras.items()} == {

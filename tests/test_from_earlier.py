@@ -104,6 +104,7 @@ def test_a_recording_of_a_rig_that_did_not_move_is_surer_and_true(
         assert not any("contradict" in warning for warning in one.warnings)
 
 
+@pytest.mark.long
 def test_a_camera_that_was_bumped_is_named_and_found_anew(first: Simulation, earlier: EarlierCalibration) -> None:
     bumped = take(first, 2, 40, BUMP)
     found = calibrate(bumped.recording, OPTIONS, earlier=earlier)

@@ -147,6 +147,7 @@ def test_a_recording_is_shown_with_its_picture(recording_folder: Path, tmp_path:
     assert all_in(text, ["left: ", "right: ", "platform: position in the mocap world", "time since the first stamp, s"])
 
 
+@pytest.mark.long
 def test_a_long_recording_is_drawn_small(small_recording: Recording, tmp_path: Path) -> None:
     """An hour of images and poses, with gaps: what is drawn does not grow with it."""
     n = 360_000

@@ -279,6 +279,7 @@ def test_a_tag_alone_is_a_lollypops(tmp_path: Path) -> None:
     assert (device.tag_ids.tolist(), device.faces[0].centre_in_body_m) == ([10], (0.0, 0.0, 0.01))
 
 
+@pytest.mark.long
 def test_the_papers_lollypop_is_offered(tmp_path: Path) -> None:
     views(ArucoGrid("DICT_5X5_50", 1, 1, 0.3, 0.075), tmp_path / "cam0", 5.0)
     write_euroc_csv(tmp_path / "wand.csv", wandering_trajectory("wand"))
@@ -294,6 +295,7 @@ def test_images_of_no_board_show_none(tmp_path: Path) -> None:
     assert guess_lone_tag(images) is None
 
 
+@pytest.mark.long
 def test_a_board_file_that_the_images_contradict_is_said(tmp_path: Path) -> None:
     views(CharucoBoard("DICT_5X5_100", 8, 6, 0.06, 0.045), tmp_path / "cam0")
     (tmp_path / "april_6x6.yaml").write_text(

@@ -98,6 +98,7 @@ def test_a_headset_without_intrinsics_is_calibrated() -> None:
     assert [stage.name for stage in calibration.stages[:4]] == [f"intrinsics of {name}" for name in calibration.cameras]
 
 
+@pytest.mark.long
 def test_wrong_corners_and_tags_do_not_bend_a_lens() -> None:
     spoilt = CornerNoise(wrong_corner_share=0.05, wrong_tag_share=0.03)
     for model in ("pinhole_radtan", "fisheye62"):

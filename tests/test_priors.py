@@ -94,6 +94,7 @@ def test_a_known_baseline_between_cameras_holds() -> None:
     assert (mm < 0.005, deg < 0.0005) == (True, True)
 
 
+@pytest.mark.long
 def test_a_prior_that_is_wrong_is_said_to_be() -> None:
     simulation = simulated(HEADSET, frames=60)
     wrong = simulation.truth.body_T_board.copy()

@@ -149,6 +149,7 @@ def test_the_page_needs_no_other_file_and_no_network(page: str) -> None:
     assert "url(" not in outside_data
 
 
+@pytest.mark.long
 def test_on_paper_it_takes_few_pages(page: str, tmp_path: Path) -> None:
     (tmp_path / "page.html").write_text(page)
     assert n_pages_on_paper(tmp_path / "page.html", tmp_path) <= 5  # of two cameras; it was a page each and more
@@ -307,6 +308,7 @@ def test_gtcal_report_writes_the_page(folder: Path, capsys: pytest.CaptureFixtur
     assert main(["report", str(folder / "missing.json"), "-o", str(output)]) == 1
 
 
+@pytest.mark.long
 def test_gtcal_calibrate_writes_a_report_if_asked(folder: Path) -> None:
     output = folder / "calibrate.html"
     arguments = [str(folder / "recording"), "-o", str(folder / "again.json"), "--report", str(output), "-q"]

@@ -15,7 +15,10 @@ from factors.priors import factory_intrinsics_prior
 from factors.reprojection import reprojection_moments, residuals_px, view_moments
 
 every_kernel = pytest.mark.parametrize("kernel", ROBUST_KERNELS)
-every_model = pytest.mark.parametrize("label", ["quest3", "euroc", "tum_vi", "thin_prism"])
+every_model = pytest.mark.parametrize(
+    "label", ["quest3", *(pytest.param(label, marks=pytest.mark.long) for label in ("euroc", "tum_vi", "thin_prism"))]
+)
+"""Each has kernels of its own to compile."""
 every_choice_of_variables = pytest.mark.parametrize(
     "free",
     [

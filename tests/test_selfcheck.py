@@ -150,6 +150,7 @@ def test_halves_are_judged_by_the_covariance_of_the_whole_recording(found: list[
     assert split_half(confident, sure, whole).overall.per_dof == pytest.approx(by_whole.per_dof)
 
 
+@pytest.mark.long
 def test_the_command_prints_and_writes_it(tmp_path: Path) -> None:
     write_simulation(simulated(HEADSET, frames=80, mocap=NOISY), tmp_path / "recording", images=False)
     ran = run("selfcheck", tmp_path / "recording", "-o", tmp_path / "s.json", "--folds", "3")

@@ -84,17 +84,24 @@ def ground(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize(
     "arguments",
     [
-        ["info", "rec", "--figure", "out.svg"],
+        pytest.param(["info", "rec", "--figure", "out.svg"], marks=pytest.mark.long),
         ["info", "cal.json", "--figure", "out.svg"],
-        ["calibrate", "rec", "--no-effects", "-v", "-o", "out.json", "--report", "out.html"],
+        pytest.param(
+            ["calibrate", "rec", "--no-effects", "-v", "-o", "out.json", "--report", "out.html"], marks=pytest.mark.long
+        ),
         ["detect", "rec"],
         ["uncertainty", "cal.json"],
-        ["diff", "cal.json", "other.json", "-o", "out.json", "--figure", "out.svg"],
+        pytest.param(
+            ["diff", "cal.json", "other.json", "-o", "out.json", "--figure", "out.svg"], marks=pytest.mark.long
+        ),
         ["verify", "cal.json", "LOLLYPOP", "-v", "-o", "out.json", "--report", "out.html", "--sightings", "out.csv"],
-        ["drift", "cal.json", "LOLLYPOP", "-o", "out.json", "--csv", "out.csv", "--figure", "out.svg"],
-        ["compare", "rec", "--lollypop", "LOLLYPOP"],
-        ["selfcheck", "rec"],
-        ["report", "cal.json", "--recording", "rec", "-o", "out.html"],
+        pytest.param(
+            ["drift", "cal.json", "LOLLYPOP", "-o", "out.json", "--csv", "out.csv", "--figure", "out.svg"],
+            marks=pytest.mark.long,
+        ),
+        pytest.param(["compare", "rec", "--lollypop", "LOLLYPOP"], marks=pytest.mark.long),
+        pytest.param(["selfcheck", "rec"], marks=pytest.mark.long),
+        pytest.param(["report", "cal.json", "--recording", "rec", "-o", "out.html"], marks=pytest.mark.long),
         ["export", "cal.json", "--to", "numpy", "-o", "out.npz"],
         ["verify", "cal.json", "\x1b[31m\nabsent"],
     ],

@@ -116,6 +116,7 @@ def test_the_same_input_gives_the_same_bits() -> None:
     np.testing.assert_array_equal(first.body_T_board.a_T_b, second.body_T_board.a_T_b)
 
 
+@pytest.mark.long
 def test_another_seed_of_the_sweep_ends_at_the_same_place() -> None:
     simulation = simulated(HEADSET)
     poses = [calibrated(simulation, seed=seed, eps=1e-8).body_T_board.a_T_b for seed in range(4)]

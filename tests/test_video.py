@@ -162,6 +162,7 @@ def test_damage_in_lossless_video_is_always_told(tmp_path: Path) -> None:
     assert found.count("told") > 25
 
 
+@pytest.mark.long
 def test_damage_in_h264_is_mostly_told(tmp_path: Path) -> None:
     moving = [np.roll(np.kron(PICTURES[0], np.ones((4, 4), np.uint8)), i, axis=1) for i in range(N)]
     path = write_video(

@@ -11,11 +11,13 @@ import tyro
 if TYPE_CHECKING:
     from gtcal.cli.terminal import Terminal
     from gtcal.doctor.findings import Diagnosis, Finding
+    from gtcal.progress import Progress
 
 
 def doctor(
     recording: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="RECORDING")],
     *,
+    calibration: Path | None = None,
     json: Path | None = None,
     quiet: Annotated[bool, tyro.conf.arg(aliases=["-q"])] = False,
 ) -> int:
@@ -24,13 +26,16 @@ def doctor(
     It tries what usually goes wrong, and sees by how the images and the mocap then agree whether that is it: units,
     quaternion order, inverse poses, handedness, swapped bodies or cameras, time stamps in s, ms, us or ns, clocks that
     differ, the board's size, gaps and tag order, images mirrored, turned or of another size, the order of the lens's
-    coefficients. A recording that can't be read as it stands is read with other lines in its manifest. Nothing is
+    coefficients. Then it calibrates, and tells what that warns of: markers and cameras that moved, views that
+    contradict the rest, a lens or a board that is not as stated. A recording that can't be read as it stands is read
+    with other lines in its manifest. A recording of the Lollypop is judged by a calibration that is given. Nothing is
     changed on disk but the corners that are detected in images, which are kept as by 'gtcal calibrate'.
 
     Exit code: 0 where nothing is wrong, 1 where something is.
 
     Args:
         recording: Folder with the manifest (recording.yaml or recording.json), or the manifest itself.
+        calibration: Of a recording of the Lollypop: the calibration, taken as right, by which it is judged.
         json: JSON file to write the findings to.
         quiet: Show no progress and print nothing: the exit code tells.
     """
@@ -42,9 +47,13 @@ def doctor(
     from gtcal.recordings.manifest import named_files
 
     if json is not None:
-        check_outputs([json], named_files(recording))
+        check_outputs([json], [*named_files(recording), *([calibration] if calibration is not None else [])])
     with shown_progress(quiet) as progress:
-        found = diagnose(recording, progress=progress)
+        found = (
+            diagnose(recording, progress=progress)
+            if calibration is None
+            else _lollypop(recording, calibration, progress)
+        )
     if json is not None:
         write_diagnosis(json, found)
     if not quiet:
@@ -52,6 +61,14 @@ def doctor(
         if json is not None:
             print(f"written: {json}")
     return 0 if found.healthy else 1
+
+
+def _lollypop(recording: Path, calibration: Path, progress: Progress) -> Diagnosis:
+    from gtcal.doctor.lollypop import diagnose_lollypop
+    from gtcal.results.calibration_file import read_calibration
+    from gtcal.verification.lollypop_recording import load_lollypop_recording
+
+    return diagnose_lollypop(load_lollypop_recording(recording), read_calibration(calibration), progress=progress)
 
 
 def _show(console: Terminal, found: Diagnosis) -> None:

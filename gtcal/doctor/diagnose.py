@@ -20,6 +20,7 @@ from gtcal.doctor.alone_search import (
 )
 from gtcal.doctor.board_in_images import board_in_images, board_lines
 from gtcal.doctor.board_readings import BoardReading, board_readings, scaled_board
+from gtcal.doctor.calibrated import look_at_calibration
 from gtcal.doctor.chain_search import (
     AS_GOOD,
     CONVINCING,
@@ -29,7 +30,7 @@ from gtcal.doctor.chain_search import (
     ChainSearch,
     Explained,
 )
-from gtcal.doctor.findings import ALONE, BACKS, MISFIT, POSED, SEEN, Diagnosis, Finding
+from gtcal.doctor.findings import ALONE, BACKS, LEFT_OUT, MISFIT, POSED, SEEN, Diagnosis, Finding
 from gtcal.doctor.fit import NO_CHAIN, AloneFit, ChainFit
 from gtcal.doctor.lens_readings import mirrored
 from gtcal.doctor.manifest_lines import ManifestFile, line_of
@@ -40,6 +41,7 @@ from gtcal.errors import GtcalError
 from gtcal.estimation.alignment import GuideViews
 from gtcal.estimation.solver import DISAGREEMENT_RAD
 from gtcal.progress import Progress, silent
+from gtcal.recordings.detections import IntArray
 from gtcal.recordings.manifest import find_manifest, load_fields
 from gtcal.recordings.recording import Recording
 from gtcal.workflow import detected
@@ -107,6 +109,7 @@ class Patient:
         self.findings: list[Finding] = []
         self.notes: list[str] = [note for images in recording.images.values() for note in images.notes]
         self.unexplained: str | None = None
+        self.used_ns: Mapping[str, IntArray] | None = None
         self.recording = self._seeing(self._with_board_of_images(detected(recording, progress=progress)))
         self.free = frozenset(name for name, camera in self.recording.cameras.items() if camera.parameters is None)
         self.alone = AloneSearch(self.free, lambda name, other: source_lines(self.file, name, other))
@@ -134,8 +137,14 @@ class Patient:
 
     @property
     def guides(self) -> dict[str, GuideViews]:
-        """The views that PnP solves."""
-        return {name: fit.guide for name, fit in self.fits.items() if fit.guide is not None}
+        """The views that PnP solves, less those that contradict the others once these are known."""
+        solved = {name: fit.guide for name, fit in self.fits.items() if fit.guide is not None}
+        if self.used_ns is None:
+            return solved
+        return {
+            name: guide.select(np.flatnonzero(np.isin(guide.views.stamps_ns, self.used_ns[name])))
+            for name, guide in solved.items()
+        }
 
     def chain(self) -> ChainFit:
         """Mocap and images together, as the recording is now."""
@@ -148,6 +157,7 @@ class Patient:
         self._look_at_views()
         if self.unexplained is None:
             self._look_at_chain()
+            self._look_at_calibration()
         self._note_what_cannot_be_told()
         fit = self.chain()
         known = np.isfinite(fit.angle_rad)
@@ -384,6 +394,27 @@ class Patient:
                 f"mocap and images are {np.rad2deg(fit.angle_rad):.1f} deg apart, typically, and no other reading of "
                 "the files brings them together; are they of one recording?"
             )
+
+    def _look_at_calibration(self) -> None:
+        """What is left when all is read rightly; views that contradict the others explain what no reading does."""
+        self.progress("a calibration of what is right now", 0, 1)
+        as_given = {
+            name: replace(camera, parameters=None) if name in self.free else camera
+            for name, camera in self.recording.cameras.items()
+        }
+        try:
+            found = look_at_calibration(replace(self.recording, cameras=as_given), silent)
+        except GtcalError as error:
+            if self.unexplained is None:
+                self.notes.append(f"no calibration yet: {error}")
+            return
+        finally:
+            self.progress("a calibration of what is right now", 1, 1)
+        known = {finding.fault for finding in self.findings}
+        self.findings += [finding for finding in found.findings if finding.fault not in known]
+        self.notes += found.notes
+        if any(finding.measure == LEFT_OUT for finding in found.findings):
+            self.unexplained, self.used_ns = None, found.used_ns
 
     def _explain(self, explained: Explained, stated: ChainFit) -> None:
         parts = [self._reading_part(reading, explained) for reading in explained.readings]

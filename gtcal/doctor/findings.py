@@ -9,6 +9,8 @@ ALONE = "distance that four fifths of the corners keep, each view with a board p
 POSED = "views that the mocap has a pose for"
 SEEN = "views in which the board is found"
 BACKS = "views that see the board from behind"
+HELD_OUT = "a calibration's error of views that it has not seen"
+LEFT_OUT = "share of views that contradict a calibration of the others, once they are left out,"
 
 
 @dataclass(frozen=True)
@@ -87,7 +89,7 @@ class Diagnosis:
                 else f"wrong, but unexplained: {self.unexplained}"
             )
         if told:
-            return told + (f"; put right, {agree}" if agree else "")
+            return told + (f"; read so, {agree}" if agree else "")
         return "nothing wrong found" + (f"; {agree}" if agree else "")
 
 

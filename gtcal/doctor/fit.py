@@ -179,12 +179,13 @@ def _posed(guide: GuideViews, motion: RefMotion, shift_s: float, board_scale: fl
     stamps_ns = guide.views.stamps_ns + round(shift_s * 1e9)
     at = motion.at(stamps_ns)
     index = np.flatnonzero(at.ok)
-    views = replace(select_views(guide.views, index), ref_T_body=at.ref_T_body[index])
-    poses, turns = guide.pnp_camera_T_board[index].copy(), views.board_turns.copy()
+    posed = guide.select(index)
+    poses, turns = posed.pnp_camera_T_board.copy(), posed.views.board_turns.copy()
     poses[..., :3, 3] *= board_scale
     turns[:, :3, 3] *= board_scale
-    moments = guide.corner_moments[index] * _moment_scale(board_scale)
-    return GuideViews(replace(views, board_turns=turns), poses, guide.pnp_median_px[index], moments)
+    views = replace(posed.views, ref_T_body=at.ref_T_body[index], board_turns=turns)
+    moments = posed.corner_moments * _moment_scale(board_scale)
+    return replace(posed, views=views, pnp_camera_T_board=poses, corner_moments=moments)
 
 
 def _moment_scale(board_scale: float) -> FloatArray:

@@ -31,13 +31,14 @@ _LARGEST_LEVERAGE = 0.999
 class Evidence:
     """Of one effect with k parameters. estimate: (k,). covariance: (k, k), the model's, or as much larger as the
     stretches scatter by. p_value: not corrected. worth: by how much the weighted squares fall, less a charge for its k
-    parameters (BIC). shift: (F,) by how much the unknowns change if the effect is let in; moves: by camera, (6,) of
-    these."""
+    parameters (BIC). hold_out_px: RMSE of unseen blocks without it; hold_out_drop_px: by how much it falls. shift: (F,)
+    by how much the unknowns change if the effect is let in; moves: by camera, (6,) of these."""
 
     estimate: FloatArray
     covariance: FloatArray
     p_value: float
     worth: float
+    hold_out_px: float
     hold_out_drop_px: float
     shift: FloatArray
     moves: dict[str, FloatArray]
@@ -87,6 +88,7 @@ class Sums:
             _larger(model, sandwich),
             p_value,
             _square(estimate, model) - k * float(np.log(len(self.frames.stamps_ns))),
+            hold_out_px,
             hold_out_px - self._hold_out_px(chosen),
             moved[: len(self.frames.free)],
             {name: moved[6 + 6 * c : 12 + 6 * c] for c, name in enumerate(self.frames.cameras)},

@@ -16,6 +16,7 @@ from gtcal.effects.evidence import Evidence, Sums
 from gtcal.effects.frames import Frames, lag_of
 from gtcal.effects.lenses import lens_effects
 from gtcal.effects.timing import BodyLag, ClockDrift, ClockOffset, moves
+from gtcal.effects.turned import turned_views
 from gtcal.estimation.estimate import Estimate
 from gtcal.estimation.mocap_noise import MocapNoiseModel, Whiteness
 from gtcal.estimation.observations import Observations
@@ -31,11 +32,15 @@ TESTED_ELSEWHERE = "clock offset"
 
 
 def with_effects(calibration: Calibration, observations: Observations, options: CalibrationOptions) -> Calibration:
-    """The calibration with what else the data want, as ``with_found``.
+    """The calibration with what else the data want, as ``with_found``, and a warning where a body was mistaken.
 
     observations: those that it was computed from. Where the mocap was taken as exact, or its noise could not be told,
     nothing is looked for: significance needs a noise."""
-    return with_found(calibration, find_effects(calibration, observations, options))
+    found = with_found(calibration, find_effects(calibration, observations, options))
+    if calibration.solution is None:
+        return found
+    turned = turned_views(observations, calibration.estimate, calibration.solution.views)
+    return found if turned is None else replace(found, warnings=(*found.warnings, turned.statement))
 
 
 def with_found(calibration: Calibration, found: FoundEffects) -> Calibration:
@@ -173,6 +178,7 @@ def _finding(effect: Effect, evidence: Evidence, estimate: Estimate, tests: floa
         estimate=effect.quantities(evidence.estimate, evidence.covariance),
         p_value=p_value,
         significant=_significant(evidence, tests),
+        hold_out_px=evidence.hold_out_px,
         hold_out_drop_px=evidence.hold_out_drop_px,
         moves_mm={name: mm for name, (mm, _) in moved.items()},
         moves_deg={name: deg for name, (_, deg) in moved.items()},

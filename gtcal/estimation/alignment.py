@@ -106,6 +106,12 @@ class GuideViews:
         mean = np.stack(squared, axis=1) / self.corner_moments[:, 3, 3, None]
         return np.sqrt(np.maximum(mean, 0.0))
 
+    def select(self, index: IntArray) -> GuideViews:
+        """Those of these views."""
+        first = None if self.first is None else self.first[index]
+        views, poses = select_views(self.views, index), self.pnp_camera_T_board[index]
+        return GuideViews(views, poses, self.pnp_median_px[index], self.corner_moments[index], first)
+
     def alignment_views(self, keep: BoolArray, pose: IntArray) -> AlignmentViews:
         """The views where ``keep`` (W,), each with its PnP pose of index ``pose`` (W,)."""
         chosen = self.pnp_camera_T_board[np.arange(len(pose)), pose]

@@ -367,8 +367,8 @@ def manifest_of(path: Path, data: dict[str, Any]) -> Manifest:
     """The fields of the manifest at ``path``, checked. Raises GtcalError as ``read_manifest``."""
     if "device" in data:
         raise GtcalError(
-            f"{path}: device: this is a recording of a Lollypop, which verifies a calibration ('gtcal verify'), "
-            "not of a board to calibrate from"
+            f"{path}: device: this is a recording of a Lollypop, which verifies a calibration ('gtcal verify', and "
+            "'gtcal doctor --calibration'), not of a board to calibrate from"
         )
     _refuse_poses(path, data.get("cameras"))
     manifest = validated(path, data, Manifest)

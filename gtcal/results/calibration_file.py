@@ -288,7 +288,7 @@ def _mocap_noise(block: Mapping[str, Any] | None) -> MocapNoise | None:
 def _finding(block: Mapping[str, Any]) -> EffectFinding:
     quantities = tuple(_made(Quantity, quantity) for quantity in block["estimate"])
     moment = None if block["moment"] is None else _made(Moment, block["moment"])
-    return _made(EffectFinding, {**block, "estimate": quantities, "moment": moment})
+    return _made(EffectFinding, {"hold_out_px": None, **block, "estimate": quantities, "moment": moment})
 
 
 def _segment(block: Mapping[str, Any]) -> Segment:

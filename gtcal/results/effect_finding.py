@@ -51,7 +51,8 @@ class EffectFinding:
     p_value: of chance, corrected for all that was tried; significant: whether it is small enough to say so.
     hold_out_drop_px: by how much the RMSE of blocks of time that the estimate has not seen falls with it.
     moves_mm, moves_deg: by camera, how far its position in ref and its attitude would move if it were let in.
-    advice: what to do about it. moment: of a change, when."""
+    advice: what to do about it. moment: of a change, when. hold_out_px: that RMSE without it, of all views that are
+        looked at; None where the file is of an older version."""
 
     name: str
     what: str
@@ -63,6 +64,7 @@ class EffectFinding:
     moves_deg: dict[str, float]
     advice: str
     moment: Moment | None = None
+    hold_out_px: float | None = None
 
     @property
     def largest_move_mm(self) -> float:
