@@ -21,6 +21,8 @@ from gtcal.results.calibration import Calibration
 from gtcal.results.effect_finding import EffectFinding
 from gtcal.workflow import calibrate
 
+INTRINSICS, BOARD_SHAPE = NOT_AS_STATED = "intrinsics", "board shape"
+
 CERTAIN = 1e-5
 """Effects that are likelier than this to be chance are notes: of a thousand clean recordings not one has a finding."""
 
@@ -111,12 +113,12 @@ def _not_as_stated(recording: Recording, calibration: Calibration) -> tuple[list
     stated = {name: camera for name, camera in recording.cameras.items() if name in moves}
     shape = calibration.board_shape
     told = [
-        ("intrinsics", lens_warnings(stated, moves), CalibrationOptions(intrinsics="exact", effects=False)),
-        ("board shape", shape.warnings if shape else (), CalibrationOptions(board="exact", effects=False)),
+        (INTRINSICS, lens_warnings(stated, moves), CalibrationOptions(intrinsics="exact", effects=False)),
+        (BOARD_SHAPE, shape.warnings if shape else (), CalibrationOptions(board="exact", effects=False)),
     ]
     for fault, warnings, options in told:
         for line in warnings:
-            says, _, advice = line.partition(": " if fault == "intrinsics" else "; ")
+            says, _, advice = line.partition(": " if fault == INTRINSICS else "; ")
             before = _held_out_px(calibrate(recording, options))
             after = _held_out_px(calibration)
             if after <= CLEARLY_BETTER * before:

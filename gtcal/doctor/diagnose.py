@@ -20,7 +20,7 @@ from gtcal.doctor.alone_search import (
 )
 from gtcal.doctor.board_in_images import board_in_images, board_lines
 from gtcal.doctor.board_readings import BoardReading, board_readings, scaled_board
-from gtcal.doctor.calibrated import look_at_calibration
+from gtcal.doctor.calibrated import NOT_AS_STATED, look_at_calibration
 from gtcal.doctor.chain_search import (
     AS_GOOD,
     CONVINCING,
@@ -410,8 +410,9 @@ class Patient:
             return
         finally:
             self.progress("a calibration of what is right now", 1, 1)
-        known = {finding.fault for finding in self.findings}
-        self.findings += [finding for finding in found.findings if finding.fault not in known]
+        # what was put right is so to a few digits, which lenses and boards then make good
+        small = NOT_AS_STATED if self.findings else ()
+        self.findings += [finding for finding in found.findings if finding.fault not in small]
         self.notes += found.notes
         if any(finding.measure == LEFT_OUT for finding in found.findings):
             self.unexplained, self.used_ns = None, found.used_ns
