@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from gtcal.doctor.chain_search import CONVINCING_NUMBER
 from gtcal.doctor.findings import HELD_OUT, LEFT_OUT, Finding
 from gtcal.effects.find import TESTED_ELSEWHERE
 from gtcal.effects.turned import TurnedViews, turned_views
@@ -25,9 +26,6 @@ INTRINSICS, BOARD_SHAPE = NOT_AS_STATED = "intrinsics", "board shape"
 
 CERTAIN = 1e-5
 """Effects that are likelier than this to be chance are notes: of a thousand clean recordings not one has a finding."""
-
-CLEARLY_BETTER = 0.9
-"""Of the error of unseen views, what a lens or a board that is not as stated leaves of it at most."""
 
 MANY_LEFT_OUT = 0.1
 """A larger share of views that contradict the rest is a finding."""
@@ -121,7 +119,7 @@ def _not_as_stated(recording: Recording, calibration: Calibration) -> tuple[list
             says, _, advice = line.partition(": " if fault == INTRINSICS else "; ")
             before = _held_out_px(calibrate(recording, options))
             after = _held_out_px(calibration)
-            if after <= CLEARLY_BETTER * before:
+            if after <= CONVINCING_NUMBER * before:
                 findings.append(Finding(fault, says, (), (advice,), HELD_OUT, before, after, "px"))
             else:
                 notes.append(f"{line} (unseen views fit about as well with what is stated)")
