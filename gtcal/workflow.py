@@ -14,6 +14,7 @@ from gtcal.camera import Camera
 from gtcal.clock.find import tested, with_clock, with_stated_readouts
 from gtcal.detection.detect import cached_detect
 from gtcal.differences.carried_over import EarlierCalibration, check_independent, known_from, with_earlier_lenses
+from gtcal.differences.exchanged import check_rig
 from gtcal.doctor.hint import likely_mistake, looks_wrong
 from gtcal.effects.find import with_effects
 from gtcal.effects.segments import in_segments
@@ -71,6 +72,7 @@ def calibrate(
         recording = replace(recording, cameras=with_earlier_lenses(recording.cameras, earlier))
     as_seen, reports = _with_intrinsics(synchronise(recording), options, progress)
     as_stamped = told_apart(as_seen, options)
+    check_rig(as_stamped, options)
     inputs = (*recording.inputs, *(earlier.inputs if earlier is not None else ()))
 
     def solve(views: Observations, chosen: CalibrationOptions) -> Calibration:
