@@ -12,7 +12,8 @@ Calibrate       calibrate, CalibrationOptions, calibrate_jointly, EarlierCalibra
 Result          Calibration, read_calibration, write_calibration
 Verify          load_lollypop_recording, LollypopRecording, write_lollypop_recording, verify, VerificationOptions,
                 Verification, read_verification, write_verification; over time: verify_series, Drift
-Compare, check  difference, Difference, DifferenceOptions, selfcheck, SelfCheck, write_selfcheck
+Compare, check  difference, Difference, DifferenceOptions, selfcheck, SelfCheck, write_selfcheck; with other methods:
+                compare, Comparison, write_comparison
 What is wrong   diagnose, Diagnosis, Finding, write_diagnosis, GtcalError (all that gtcal raises of what it is given)
 
 Results print as the command line's tables and show in a notebook as the report; to_dict(), to_pandas() and plot_...()
@@ -24,6 +25,9 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from gtcal.baselines.compare import Comparison as Comparison
+    from gtcal.baselines.compare import compare as compare
+    from gtcal.baselines.compare_file import write_comparison as write_comparison
     from gtcal.board import PRESETS as PRESETS
     from gtcal.board import board_from_manifest as board_from_manifest
     from gtcal.differences.carried_over import EarlierCalibration as EarlierCalibration
@@ -65,6 +69,9 @@ if TYPE_CHECKING:
     from gtcal.workflow import detected as detected
 
 _HOMES = {
+    "Comparison": "baselines.compare",
+    "compare": "baselines.compare",
+    "write_comparison": "baselines.compare_file",
     "PRESETS": "board",
     "board_from_manifest": "board",
     "calibrate_observations": "estimation.solver",

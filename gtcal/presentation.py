@@ -13,22 +13,32 @@ from matplotlib.figure import Figure
 from rich.console import Group, RenderableType
 from rich.text import Text
 
+from gtcal.baselines.compare import Comparison
+from gtcal.baselines.compare_file import comparison_document
+from gtcal.cli.compare import comparison_parts
 from gtcal.cli.diff import difference_table
+from gtcal.cli.doctor import diagnosis_parts
+from gtcal.cli.pose_tables import place_table, pose_calibration_parts
 from gtcal.cli.selfcheck import selfcheck_tables
 from gtcal.cli.tables import calibration_parts
 from gtcal.cli.terminal import Terminal
 from gtcal.cli.verification_tables import drift_parts, verification_parts
 from gtcal.differences.difference import Difference
 from gtcal.differences.difference_file import difference_document
+from gtcal.doctor.diagnosis_file import diagnosis_document
+from gtcal.doctor.findings import Diagnosis
 from gtcal.errors import GtcalError
+from gtcal.estimation.pose_level import PoseLevel
 from gtcal.estimation.residuals import chain_residuals_px
 from gtcal.overview.result_figures import calibration_figure, verification_figure
+from gtcal.pose_recordings.calibration import PoseCalibration
+from gtcal.pose_recordings.calibration_file import pose_calibration_document
 from gtcal.report import residual_figures, uncertainty_figures, verification_figures
 from gtcal.report.evidence import CameraEvidence
 from gtcal.report.page import render
 from gtcal.report.pictures import Picture
-from gtcal.results.calibration import Calibration
-from gtcal.results.calibration_file import calibration_document
+from gtcal.results.calibration import Calibration, PoseEstimate
+from gtcal.results.calibration_file import calibration_document, pose_document
 from gtcal.selfchecks.selfcheck import SelfCheck
 from gtcal.selfchecks.selfcheck_file import selfcheck_document
 from gtcal.verification.drift import Drift
@@ -76,6 +86,27 @@ def _(result: Difference) -> Sequence[RenderableType]:
 @_parts.register
 def _(result: SelfCheck) -> Sequence[RenderableType]:
     return [*selfcheck_tables(result), *map(Text, result.statements)]
+
+
+@_parts.register
+def _(result: Diagnosis) -> Sequence[RenderableType]:
+    return diagnosis_parts(result)
+
+
+@_parts.register
+def _(result: Comparison) -> Sequence[RenderableType]:
+    return comparison_parts(result)
+
+
+@_parts.register
+def _(result: PoseCalibration) -> Sequence[RenderableType]:
+    return pose_calibration_parts(result)
+
+
+@_parts.register
+def _(result: PoseLevel) -> Sequence[RenderableType]:
+    camera_T_ref, body_T_board = result.poses
+    return [place_table({"camera": camera_T_ref}, body_T_board)]
 
 
 def text(result: object) -> str:
@@ -141,6 +172,27 @@ def _(result: Drift) -> dict[str, Any]:
     return {"recordings": [{"recording": name} | verification_document(found) for name, found in named]}
 
 
+@document.register
+def _(result: Diagnosis) -> dict[str, Any]:
+    return diagnosis_document(result)
+
+
+@document.register
+def _(result: Comparison) -> dict[str, Any]:
+    return comparison_document(result)
+
+
+@document.register
+def _(result: PoseCalibration) -> dict[str, Any]:
+    return pose_calibration_document(result)
+
+
+@document.register
+def _(result: PoseLevel) -> dict[str, Any]:
+    names = ("camera_T_ref", "body_T_board")
+    return {name: pose_document(pose) for name, pose in zip(names, result.poses, strict=True)}
+
+
 # pandas
 
 
@@ -151,7 +203,7 @@ def frame(result: object) -> pandas.DataFrame:
     except ImportError:
         raise GtcalError("to_pandas needs the library pandas: pip install 'gtcal[pandas]'") from None
     rows = _rows(result)
-    return pandas.DataFrame(rows).set_index(next(iter(rows[0])))
+    return pandas.DataFrame(rows).set_index(next(iter(rows[0]))) if rows else pandas.DataFrame()
 
 
 @singledispatch
@@ -167,14 +219,16 @@ def _(result: Calibration) -> list[Row]:
 
 def _camera_row(calibration: Calibration, name: str) -> Row:
     camera = calibration.cameras[name]
-    pose = camera.camera_T_ref
-    mm, deg = pose.position_of_a_in_b_sigma_mm, pose.rotation_sigma_deg
-    row: Row = {"camera": name, **_vector("{}_mm", 1e3 * pose.position_of_a_in_b_m)}
-    row |= {} if mm is None else _vector("{}_sigma_mm", mm)
-    row |= {} if deg is None else _vector("r{}_sigma_deg", deg)
-    row |= vars(camera.residuals)
+    row = _place(name, camera.camera_T_ref) | vars(camera.residuals)
     lens = zip(camera.camera.model.parameter_names, camera.camera.theta.tolist(), strict=True)
     return row | {"model": camera.camera.model.name} | dict(lens)
+
+
+def _place(camera: str, camera_T_ref: PoseEstimate) -> Row:
+    mm, deg = camera_T_ref.position_of_a_in_b_sigma_mm, camera_T_ref.rotation_sigma_deg
+    row: Row = {"camera": camera, **_vector("{}_mm", 1e3 * camera_T_ref.position_of_a_in_b_m)}
+    row |= {} if mm is None else _vector("{}_sigma_mm", mm)
+    return row | ({} if deg is None else _vector("r{}_sigma_deg", deg))
 
 
 def _vector(name: str, values: Any) -> Row:
@@ -207,6 +261,26 @@ def _(result: Difference) -> list[Row]:
 @_rows.register
 def _(result: SelfCheck) -> list[Row]:
     return [vars(camera) for camera in result.cameras]
+
+
+@_rows.register
+def _(result: Diagnosis) -> list[Row]:
+    return [vars(finding) | {"evidence": finding.evidence} for finding in result.findings]
+
+
+@_rows.register
+def _(result: Comparison) -> list[Row]:
+    return [{name: value for name, value in vars(row).items() if name != "calibration"} for row in result]
+
+
+@_rows.register
+def _(result: PoseCalibration) -> list[Row]:
+    return [_place(name, one.camera_T_ref) | vars(one.statistics) for name, one in result.cameras.items()]
+
+
+@_rows.register
+def _(result: PoseLevel) -> list[Row]:
+    return [_place("camera", result.poses[0])]
 
 
 # Figures

@@ -1,35 +1,27 @@
-"""The whole way from a recording to a calibration: detection, intrinsics where they are asked for, synchronisation, the
-three stages; and a guess at what is wrong where nothing fits."""
+"""The whole way from a recording to a calibration: the walk of ``gtcal.steps``, of one recording or of several."""
 
 from __future__ import annotations
 
 import logging
-import time
 from collections.abc import Sequence
 from dataclasses import replace
 
 from factors import CalledBackKernel
+from gtcal import steps
 from gtcal.blas import on_one_blas_thread
-from gtcal.camera import Camera
-from gtcal.clock.find import tested, with_clock, with_stated_readouts
+from gtcal.clock.find import tested
 from gtcal.detection.detect import cached_detect
-from gtcal.differences.carried_over import EarlierCalibration, check_independent, known_from, with_earlier_lenses
-from gtcal.doctor.hint import likely_mistake, looks_wrong
-from gtcal.effects.find import with_effects
-from gtcal.effects.segments import in_segments
+from gtcal.differences.carried_over import EarlierCalibration
 from gtcal.errors import GtcalError
 from gtcal.estimation.earlier import SAME_DAY
-from gtcal.estimation.intrinsics import calibrate_intrinsics
-from gtcal.estimation.observations import Observations, synchronise
+from gtcal.estimation.observations import Observations
 from gtcal.estimation.options import CalibrationOptions
-from gtcal.estimation.solver import DisagreementError, calibrate_observations
-from gtcal.estimation.told_apart import told_apart
+from gtcal.estimation.solver import calibrate_observations
 from gtcal.files import fingerprint
 from gtcal.guided import MocapGuide
 from gtcal.progress import Progress, silent
-from gtcal.recordings.manifest import MANIFEST_NAMES
 from gtcal.recordings.recording import Recording
-from gtcal.results.calibration import Calibration, Clock, StageReport
+from gtcal.results.calibration import Calibration, StageReport
 
 _log = logging.getLogger(__name__)
 
@@ -64,42 +56,11 @@ def calibrate(
             "robust kernel %s is called back from Python for every corner: slower than those that are compiled",
             options.robust.name,
         )
-    _check_time(recording, options)
-    recording = detected(recording, progress=progress)
-    if earlier is not None:
-        check_independent(earlier, recording.inputs)
-        recording = replace(recording, cameras=with_earlier_lenses(recording.cameras, earlier))
-    as_seen, reports = _with_intrinsics(synchronise(recording), options, progress)
-    as_stamped = told_apart(as_seen, options)
-    inputs = (*recording.inputs, *(earlier.inputs if earlier is not None else ()))
-
-    def solve(views: Observations, chosen: CalibrationOptions) -> Calibration:
-        return calibrate_observations(views, chosen, progress=progress, inputs=inputs, earlier=reports)
-
-    try:
-        observations, clock = _on_the_mocaps_clock(as_stamped, options, progress)
-        carried_over = None
-        if earlier is not None:
-            observations, options, carried_over = known_from(earlier, observations, options, solve)
-        calibration = replace(solve(observations, options), carried_over=carried_over)
-    except DisagreementError as error:
-        hint = likely_mistake(as_seen, seed=options.seed, max_views=options.pnp_views)
-        raise DisagreementError(error.angle_deg, hint, doctor=_doctor(recording)) from error
-    if recording.path is not None and looks_wrong(calibration):
-        warning = f"this does not look like a good calibration; {_doctor(recording)} may tell why"
-        calibration = replace(calibration, warnings=(*calibration.warnings, warning))
-    if options.clock == "test" and not recording.numbered:
-        calibration = tested(calibration, as_stamped, options)
-    else:
-        calibration = replace(calibration, clock=clock)
-    if options.segments == "auto":
-        return in_segments(
-            calibration,
-            observations,
-            options,
-            lambda views: solve(views, options),
-        )
-    return with_effects(calibration, observations, options) if options.effects else calibration
+    steps.check_time(recording, options)
+    seen = steps.observed(detected(recording, progress=progress), options, earlier, progress=progress)
+    known = steps.known(steps.timed(seen, progress=progress), progress=progress)
+    calibration = steps.judged(known, steps.solved(known, progress=progress))
+    return steps.asked(known, calibration, progress=progress)
 
 
 def calibrate_jointly(
@@ -134,45 +95,14 @@ def calibrate_jointly(
     return replace(found[-1], carried_over=replace(carried[-1], moved=moved), warnings=(*warnings, *found[-1].warnings))
 
 
-def _check_time(recording: Recording, options: CalibrationOptions) -> None:
-    """Raises GtcalError where a recording by number is asked for what needs time."""
-    if not recording.numbered:
-        return
-    asked = {
-        f"--clock {options.clock}": options.clock in ("estimate", "per_camera"),
-        "--clock-drift": options.clock_drift,
-        "--segments auto": options.segments == "auto",
-    }
-    for option, given in asked.items():
-        if given:
-            raise GtcalError(f"{option}: this recording goes by number (numbered: true), and has no time; leave it out")
-
-
-def _doctor(recording: Recording) -> str:
-    """What to run to find out what is wrong with it."""
-    if recording.path is None:
-        return "'gtcal doctor RECORDING'"
-    by_folder = recording.path.name in MANIFEST_NAMES
-    return f"'gtcal doctor {recording.path.parent if by_folder else recording.path}'"
-
-
 def prepared(
     recording: Recording, options: CalibrationOptions, *, progress: Progress = silent
 ) -> tuple[Observations, tuple[StageReport, ...]]:
     """The recording's synchronised views, detected where they are images, with intrinsics and clock offset found where
     the options ask for it; and what the intrinsics took."""
-    _check_time(recording, options)
-    observations = synchronise(detected(recording, progress=progress))
-    observations, reports = _with_intrinsics(observations, options, progress)
-    return _on_the_mocaps_clock(told_apart(observations, options), options, progress)[0], reports
-
-
-def _on_the_mocaps_clock(
-    observations: Observations, options: CalibrationOptions, progress: Progress
-) -> tuple[Observations, Clock | None]:
-    if options.clock in ("test", "trust"):
-        return with_stated_readouts(observations, options, progress=progress), None
-    return with_clock(observations, options, progress=progress)
+    steps.check_time(recording, options)
+    seen = steps.observed(detected(recording, progress=progress), options, progress=progress)
+    return steps.on_the_mocaps_clock(seen.observations, options, progress)[0], seen.reports
 
 
 def detected(
@@ -215,37 +145,3 @@ def _first_calibration(recording: Recording) -> Calibration:
     options = CalibrationOptions(mocap="exact", effects=False)
     observations, _ = prepared(recording, options)
     return tested(calibrate_observations(observations, options), observations, options)
-
-
-def _is_to_be_found(camera: Camera, options: CalibrationOptions) -> bool:
-    return options.intrinsics in ("calibrate", "calibrate+refine") or (
-        options.intrinsics == "auto" and camera.parameters is None
-    )
-
-
-def _with_intrinsics(
-    observations: Observations, options: CalibrationOptions, progress: Progress
-) -> tuple[Observations, tuple[StageReport, ...]]:
-    views, reports = dict(observations.views), []
-    wanted = [name for name, of_camera in views.items() if _is_to_be_found(of_camera.camera, options)]
-    for done, name in enumerate(wanted):
-        progress("intrinsics", done, len(wanted))
-        started = time.perf_counter()
-        found = calibrate_intrinsics(views[name])
-        views[name] = replace(views[name], camera=replace(found.camera, theta_sigmas=None))
-        seconds = time.perf_counter() - started
-        reports.append(
-            StageReport(
-                0,
-                f"intrinsics of {name}",
-                0,
-                float("nan"),
-                found.rmse_px,
-                "px rmse",
-                float("nan"),
-                seconds,
-            )
-        )
-    if wanted:
-        progress("intrinsics", len(wanted), len(wanted))
-    return replace(observations, views=views), tuple(reports)

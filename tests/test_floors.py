@@ -16,8 +16,8 @@ FLOORS = (
     "gtcal.board gtcal.board_base gtcal.plain_boards gtcal.drawing gtcal.readers gtcal.camera_files gtcal.recordings "
     "gtcal.observed gtcal.results",
     "gtcal.estimation gtcal.uncertainty gtcal.clock gtcal.detection gtcal.verification gtcal.effects",
-    "gtcal.workflow gtcal.guided gtcal.differences gtcal.doctor gtcal.report gtcal.overview gtcal.baselines "
-    "gtcal.selfchecks gtcal.simulation gtcal.convert",
+    "gtcal.workflow gtcal.steps gtcal.guided gtcal.differences gtcal.doctor gtcal.report gtcal.overview "
+    "gtcal.baselines gtcal.selfchecks gtcal.simulation gtcal.convert",
     "gtcal.pose_recordings gtcal.fleet",
     "gtcal.cli gtcal.presentation gtcal.__main__",
 )

@@ -47,6 +47,7 @@ READING: dict[str, tuple[list[str], str]] = {
     "demo": ([], ""),  # the same
     "schema": ([], ""),  # reads nothing
     "completion": (["bash"], ""),  # the same
+    "guide": (["trust"], ""),  # only its own chapters
     "batch": ([], ""),  # into a store, which is new or one of gtcal's own; test_fleet.py
     "history": ([], ""),  # of a store
     "watch": ([], ""),  # runs on and on

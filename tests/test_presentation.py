@@ -11,8 +11,10 @@ import numpy as np
 import pytest
 from calibration_support import HEADSET, simulated
 from matplotlib.figure import Figure
+from scipy.spatial.transform import Rotation
 
 import gtcal
+from gtcal.baselines.compare import Compared
 from gtcal.simulation.lollypop import LollypopOptions, simulate_lollypop
 
 
@@ -123,3 +125,42 @@ def test_every_public_name_is_in_the_packages_help() -> None:
     assert gtcal.__doc__ is not None
     assert not [name for name in gtcal.__all__ if name not in gtcal.__doc__]
     assert set(gtcal.__all__) <= set(dir(gtcal))
+
+
+def other_results(calibration: gtcal.Calibration) -> dict[str, tuple[object, str, int]]:
+    """Of a diagnosis, a comparison and a calibration from poses: the result, what it shows, how many rows it has."""
+    finding = gtcal.Finding("units", "m are mm", ("platform.length_unit: mm",), ("check it",), "misfit", 9.0, 0.1, "mm")
+    failed = Compared("Park-Martin", None, float("nan"), None, float("nan"), float("nan"), 0.1, "too few poses")
+    joint = Compared("joint", calibration, 0.1, None, 0.0, 0.0, 1.0, sigma_mm=0.04, sigma_deg=0.004)
+    random = np.random.default_rng(0)
+    X, Y, A = (Rotation.random(n, rng=random) for n in (None, None, 12))
+    poses = np.tile(np.eye(4), (2, 12, 1, 1))
+    poses[0, :, :3, :3], poses[1, :, :3, :3] = A.as_matrix(), (Y * A * X).as_matrix()
+    return {
+        "diagnosis": (gtcal.Diagnosis((finding,), None, ("a note",), 0.1, 0.01), "platform.length_unit: mm", 1),
+        "healthy": (gtcal.Diagnosis((), None, (), 0.1, 0.01), "nothing wrong found", 0),
+        "comparison": (gtcal.Comparison((joint, failed)), "Park-Martin: too few poses", 2),
+        "poses": (gtcal.calibrate_poses(*poses), "1-sigma", 1),
+    }
+
+
+def test_all_other_results_show_themselves_too(results: Results) -> None:
+    pytest.importorskip("pandas")
+    for name, (result, words, n_rows) in other_results(results.calibration).items():
+        assert words in repr(result), name
+        assert "array(" not in repr(result)
+        assert words in result._repr_html_()
+        assert json.loads(json.dumps(result.to_dict(), allow_nan=False)) == result.to_dict()
+        assert len(result.to_pandas()) == n_rows
+
+
+def test_a_comparison_is_gone_through_and_asked_by_name(results: Results, tmp_path: Path) -> None:
+    comparison = other_results(results.calibration)["comparison"][0]
+    assert isinstance(comparison, gtcal.Comparison)
+    assert [row.method for row in comparison] == ["joint", "Park-Martin"]
+    assert comparison.joint is results.calibration
+    assert comparison["Park-Martin"].failure == "too few poses"
+    with pytest.raises(gtcal.GtcalError, match="no method 'Shah'; methods: joint, Park-Martin"):
+        comparison["Shah"]
+    gtcal.write_comparison(tmp_path / "c.json", comparison)
+    assert json.loads((tmp_path / "c.json").read_text()) == comparison.to_dict()

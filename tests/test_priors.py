@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,6 +12,7 @@ import pytest
 from calibration_support import HEADSET, errors, pose_errors, simulated
 from cli_support import run
 from factors_support import derivative_to, poses
+from guide_support import block
 from scipy.spatial.transform import Rotation
 
 from factors import PoseMeasurementFactor
@@ -252,12 +252,9 @@ def test_a_wrong_rig_is_told_in_one_line(tmp_path: Path, before: str, after: str
     assert "\n" not in str(caught.value)
 
 
-def test_the_readmes_file_is_read_and_a_rigs_file_is_used(tmp_path: Path) -> None:
-    readme = (Path(__file__).resolve().parents[1] / "README.md").read_text(encoding="utf-8")
-    block = re.search(r"<!-- priors -->\n```yaml\n(.*?)```", readme, re.DOTALL)
-    assert block
+def test_the_guides_file_is_read_and_a_rigs_file_is_used(tmp_path: Path) -> None:
     rig_file(tmp_path, "hot3d")
-    text = block[1].replace("factory_rig.json", "rig.json").replace("cam0", "front_left")
+    text = block("priors", "yaml").replace("factory_rig.json", "rig.json").replace("cam0", "front_left")
     (tmp_path / "p.yaml").write_text(text)
     found = read_priors(tmp_path / "p.yaml")
     assert found.body_T_board.sigma_m == (0.002,) * 3

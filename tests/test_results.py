@@ -1,4 +1,4 @@
-"""What the README shows of results is what scripts/RESULTS.md has; and that is written by scripts/results.py."""
+"""What README and guide show of results is what scripts/RESULTS.md has; and that is written by scripts/results.py."""
 
 from __future__ import annotations
 
@@ -9,9 +9,11 @@ from pathlib import Path
 
 import pytest
 import results
+from guide_support import ALL, PAGES
 
 ROOT = Path(__file__).resolve().parents[1]
 _EXCERPT = re.compile(r"<!-- excerpt -->\n```text\n(.*?)```", re.S)
+_UNMARKED = re.compile(r"(?<!<!-- excerpt -->\n)```text\n")
 TWO = """\
 # Results
 
@@ -38,10 +40,14 @@ stays
 
 
 def test_every_line_of_an_excerpt_stands_in_the_results() -> None:
-    excerpts = _EXCERPT.findall((ROOT / "README.md").read_text(encoding="utf-8"))
+    excerpts = _EXCERPT.findall(ALL)
     lines = set(results.RESULTS.read_text(encoding="utf-8").splitlines())
     assert len(excerpts) > 5
     assert [line for excerpt in excerpts for line in excerpt.splitlines() if line not in lines] == []
+
+
+def test_every_table_that_is_shown_is_an_excerpt() -> None:
+    assert [page.name for page in PAGES if _UNMARKED.search(page.read_text(encoding="utf-8"))] == []
 
 
 def test_every_result_is_of_a_script_that_is_there() -> None:

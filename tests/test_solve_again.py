@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import re
-from pathlib import Path
-
 import gtsam
 import numpy as np
 import pytest
 from calibration_support import HEADSET, simulated
 from example_own_factor import distance_factor
 from factors_support import derivative_to, poses
+from guide_support import block
 from scipy.spatial.transform import Rotation
 
 from gtcal import (
@@ -84,7 +82,7 @@ def test_what_cannot_be_gone_on_from_is_told(found, tmp_path):
         solve_again(read_calibration(tmp_path / "c.json"), [])
 
 
-def test_the_readmes_own_kernel_prior_and_factor(tmp_path, monkeypatch):
+def test_the_guides_own_kernel_prior_and_factor(tmp_path, monkeypatch):
     simulation = simulated(HEADSET, frames=20, mocap=MocapNoise(0.3, 0.03))
     monkeypatch.chdir(tmp_path)
     write_recording(simulation.recording, "my_recording")
@@ -97,16 +95,14 @@ def test_the_readmes_own_kernel_prior_and_factor(tmp_path, monkeypatch):
         "(1.0, 0.0, 0.0, 0.0)": str(tuple(np.roll(Rotation.from_matrix(true[:3, :3]).as_quat(), 1).tolist())),
         "(0.002, 0.002, None)": "(1e-5, 1e-5, None)",
     }
-    readme = (Path(__file__).resolve().parents[1] / "README.md").read_text(encoding="utf-8")
+    blocks = [block(what, "python") for what in ("own kernel", "own prior", "own factor", "solve again")]
     for stated, ours in of_this_one.items():
-        assert stated in readme
-        readme = readme.replace(stated, ours)
+        assert any(stated in each for each in blocks)
+        blocks = [each.replace(stated, ours) for each in blocks]
     space: dict = {}
-    for what in ("own kernel", "own prior", "own factor", "solve again"):
-        block = re.search(rf"<!-- {what} -->\n```python\n(.*?)```", readme, re.DOTALL)
-        assert block
-        assert len([line for line in block[1].splitlines() if line]) <= 10
-        exec(block[1], space)
+    for each in blocks:
+        assert len([line for line in each.splitlines() if line]) <= 10
+        exec(each, space)
     assert space["calibration"].provenance.options["robust"] == {"name": "Custom", "called_back": True}
     off_m = space["with_prior"].body_T_board.a_T_b[:3, 3] - true[:3, 3]
     assert (np.abs(true[:3, :3].T @ off_m) < (3e-5, 3e-5, 5e-3)).all()

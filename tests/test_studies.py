@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from argparse import Namespace
 from pathlib import Path
 
 import cv2
+import figure_heatmaps
 import gtsam
 import numpy as np
 import pytest
@@ -22,7 +24,9 @@ from calibration_support import HEADSET, simulated
 
 from gtcal import CalibrationOptions, calibrate, synchronise
 from gtcal.baselines.compare import JOINT
+from gtcal.progress import silent
 from gtcal.results.covariance import NAIVE
+from gtcal.verification.verification import Verdict
 
 
 @pytest.fixture(scope="module", name="outcomes")
@@ -145,6 +149,15 @@ def test_halves() -> None:
     assert 0.2 < found.whole.per_dof < 3.0
     rows = list(study_halves.rows("simulated", whole, [found], 1))
     assert [row[2] for row in rows] == ["0 of 1", "1 of 1"]
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("bad", ["lens", "turned"])
+def test_the_heat_maps_are_of_a_good_and_a_bad_calibration(bad: str) -> None:
+    arguments = Namespace(bad=bad, focal_percent=1.0, turn_deg=0.2, frames=40, duration_s=30.0, seed=1)
+    good, wrong = figure_heatmaps.verified(arguments, silent).values()
+    assert good.verdict is Verdict.PASS
+    assert wrong.verdict is Verdict.FAIL
 
 
 def test_detectors() -> None:

@@ -1,8 +1,7 @@
-"""README's three ways to bring the same capture: each manifest as printed there, over files of one simulation."""
+"""The guide's three ways to bring the same capture: each manifest as printed there, over files of one simulation."""
 
 from __future__ import annotations
 
-import re
 from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
@@ -11,6 +10,7 @@ import cv2
 import numpy as np
 import pytest
 import yaml
+from guide_support import block
 from media_support import image_message, small_simulation, write_bag, write_video
 from mocap_files import write_motive
 
@@ -24,7 +24,6 @@ from gtcal.simulation import write_simulation
 pytest.importorskip("av")
 pytest.importorskip("rosbags")
 
-README = Path(__file__).resolve().parents[1] / "README.md"
 BODIES = {"platform": "headset", "board_body": "plate"}
 
 
@@ -40,10 +39,8 @@ def _filmed(tmp_path_factory: pytest.TempPathFactory) -> Recording:
 
 
 def manifest(way: str) -> str:
-    """The block that follows this marker in the README."""
-    found = re.search(rf"<!-- way: {way} -->\n```yaml\n(.*?)```", README.read_text(encoding="utf-8"), re.DOTALL)
-    assert found, way
-    return found[1]
+    """The block that follows this marker in the guide."""
+    return block(f"way: {way}", "yaml")
 
 
 def start_ns(recording: Recording) -> int:

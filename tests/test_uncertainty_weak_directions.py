@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from functools import cache
 
@@ -280,6 +281,16 @@ def test_two_cameras_that_are_weak_by_themselves_are_not_mixed() -> None:
     joint = JointCovariance("naive", dict(found.theta_sizes), inverse_L @ covariance @ inverse_L.T)
     told = {one.what for one in directions_of_covariance(joint, found)}
     assert told == {f"camera {name!r}: its depth, along its optical axis" for name in shifts}
+
+
+def test_no_two_directions_are_told_in_the_same_words() -> None:
+    joint = calibration().covariance
+    directions = directions_of_covariance(joint, placement(), most=len(joint.matrix))
+    assert len({one.sentence for one in directions}) == len(directions) > 20
+    alike = [one for one in directions if "[" in one.what]
+    assert alike
+    for one in alike:  # the board, a position, an attitude or a lens, with its unit
+        assert re.search(r"\(-?\d[^)]*\) (mm|deg)|distortion \S+ px", one.what), one.what
 
 
 def test_large_numbers_are_no_powers_of_ten() -> None:

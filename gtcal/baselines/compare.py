@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -26,6 +26,7 @@ from gtcal.progress import Progress, silent
 from gtcal.recordings.recording import Recording
 from gtcal.results.calibration import Calibration, PoseEstimate, ResidualStatistics, pose_difference
 from gtcal.results.covariance import NAIVE
+from gtcal.results.presented import Presented
 from gtcal.simulation.truth import GroundTruth
 from gtcal.verification.lollypop_recording import LollypopRecording
 from gtcal.verification.workflow import verify
@@ -51,7 +52,7 @@ class Compared:
     truth_mm, truth_deg: from the truth, the largest of the cameras; None where it is not known."""
 
     method: str
-    calibration: Calibration | None
+    calibration: Calibration | None = field(repr=False)
     board_rmse_px: float
     lollypop_rmse_px: float | None
     difference_mm: float
@@ -64,6 +65,33 @@ class Compared:
     truth_deg: float | None = None
 
 
+@dataclass(frozen=True, repr=False)
+class Comparison(Presented):
+    """The methods, of which the first is the joint solution; also to be gone through one by one."""
+
+    methods: tuple[Compared, ...]
+
+    def __iter__(self) -> Iterator[Compared]:
+        return iter(self.methods)
+
+    def __len__(self) -> int:
+        return len(self.methods)
+
+    def __getitem__(self, method: str) -> Compared:
+        """A method by its name. Raises GtcalError where it was not tried."""
+        for row in self.methods:
+            if row.method == method:
+                return row
+        raise GtcalError(f"there is no method {method!r}; methods: {', '.join(row.method for row in self.methods)}")
+
+    @property
+    def joint(self) -> Calibration:
+        """gtcal's own calibration, which the others are held against."""
+        calibration = self.methods[0].calibration
+        assert calibration is not None
+        return calibration
+
+
 def compare(
     recording: Recording,
     lollypop: LollypopRecording | None = None,
@@ -72,9 +100,16 @@ def compare(
     measured_body_T_board: FloatArray | None = None,
     truth: GroundTruth | None = None,
     progress: Progress = silent,
-) -> tuple[Compared, ...]:
-    """The joint solution first, then the others. measured_body_T_board: X as measured by hand (4, 4); Sturm's method is
-    left out without it. truth: of a simulated recording.
+) -> Comparison:
+    """Calibrate a recording by the joint solution and by other methods, and judge each by the same views.
+
+        comparison = gtcal.compare(recording, lollypop)
+        comparison                                # the table
+        comparison["Shah (AX = ZB)"].calibration  # one method's
+
+    lollypop: a recording to judge by, as an error that is in the whole recording is in its views too.
+    measured_body_T_board: X as measured by hand, (4, 4); Sturm's method is left out without it.
+    truth: of a simulated recording. progress: called as progress(what, done, of).
 
     Raises GtcalError where the joint solution fails."""
     options = options or CalibrationOptions()
@@ -103,7 +138,7 @@ def compare(
             continue
         found.append(_compared(method, calibration, judged, duration_s, sigmas))
     progress("comparing", len(methods), len(methods))
-    return tuple(found)
+    return Comparison(tuple(found))
 
 
 @dataclass(frozen=True)
@@ -123,7 +158,7 @@ def _failed(method: str, why: str, duration_s: float) -> Compared:
 def compare_markers(
     path: Path,
     recording: Recording,
-    joint: Compared,
+    joint: Calibration,
     lollypop: LollypopRecording | None,
     *,
     truth: GroundTruth | None = None,
@@ -132,7 +167,6 @@ def compare_markers(
     """Direct calibration on the markers of a file; X is the joint solution's, which the method does not find.
 
     Raises GtcalError where the file is wrong."""
-    assert joint.calibration is not None
     sightings, _ = read_marker_sightings(path, recording)
     started = time.perf_counter()
     try:
@@ -142,9 +176,9 @@ def compare_markers(
         found = {name: calibrate_on_markers(seen, seed=seed).camera_T_ref for name, seen in sightings.items()}
     except GtcalError as error:
         return _failed(MARKERS, str(error), time.perf_counter() - started)
-    estimate = replace(joint.calibration.estimate, camera_T_ref=found)
-    calibration = as_calibration(MARKERS, estimate, joint.calibration)
-    judged = _Judges(joint.calibration, lollypop, truth)
+    estimate = replace(joint.estimate, camera_T_ref=found)
+    calibration = as_calibration(MARKERS, estimate, joint)
+    judged = _Judges(joint, lollypop, truth)
     return _compared(MARKERS, calibration, judged, time.perf_counter() - started, (None, None))
 
 

@@ -39,6 +39,7 @@ COMMANDS = {
     "convert": "read camera files or trajectories of one tool and write them for another",
     "detect": "find the board in a recording's images, and keep the corners",
     "simulate": "simulate a recording with known ground truth",
+    "guide": "show a chapter of the guide: manifests, formats, boards, trust, verification, fleets, Python",
     "schema": "print the JSON schema of a recording's manifest, or of what commands for fleets read and print",
     "completion": "print the script that makes bash, zsh or fish complete gtcal's commands and options",
 }
@@ -56,7 +57,7 @@ of it.
 commands:
 {commands}
 
-'gtcal COMMAND --help' explains a command; 'gtcal --version' prints the version.
+'gtcal COMMAND --help' explains a command, 'gtcal guide' all else; 'gtcal --version' prints the version.
 Every command takes {jobs}
 
 exit codes: 0 fine, 1 a failure told in one line, 2 usage, 3 failed or moved, 4 it can't be told"""

@@ -112,7 +112,7 @@ def calibrate(
             (graduated non-convexity), for many outliers; with --kernel GemanMcClure or TruncatedLeastSquares, and
             --no-screen where screening by medians would fail.
         priors: YAML file of what is known beforehand, with sigmas: of the board in its body, of cameras in the rig
-            or in each other's frames, of intrinsics (see the README).
+            or in each other's frames, of intrinsics (see 'gtcal guide calibrate').
         from_: calibration.json of an earlier calibration of the same rig. What has not moved since (each camera on the
             rig, each lens, the board on its body) is known from it, as surely as it says, less by the day; what has
             moved is named and found anew. For recordings too short to tell all by themselves, and to be surer with

@@ -6,11 +6,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
+from rich.text import Text
 
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from gtcal.baselines.compare import Compared
+    from gtcal.baselines.compare import Compared, Comparison
     from gtcal.estimation.options import CalibrationOptions, IntrinsicsMode
 
 
@@ -48,8 +49,8 @@ def compare(
         seed: Of the random numbers.
         quiet: Show no progress and print nothing.
     """
+    from gtcal.baselines.compare import Comparison, compare_markers
     from gtcal.baselines.compare import compare as run
-    from gtcal.baselines.compare import compare_markers
     from gtcal.baselines.compare_file import write_comparison
     from gtcal.cli.progress import shown_progress
     from gtcal.cli.terminal import Terminal
@@ -84,15 +85,15 @@ def compare(
     with shown_progress(quiet) as progress:
         found = run(loaded, device, options, measured_body_T_board=body_T_board, truth=truth, progress=progress)
         if markers is not None:
-            found += (compare_markers(markers, loaded, found[0], device, truth=truth, seed=seed),)
+            seen = compare_markers(markers, loaded, found.joint, device, truth=truth, seed=seed)
+            found = Comparison((*found, seen))
     if output is not None:
         write_comparison(output, found)
     if quiet:
         return
     console = Terminal()
-    console.print(_table(found))
-    for failed in (row for row in found if row.failure):
-        console.print(f"{failed.method}: {failed.failure}", highlight=False)
+    for part in comparison_parts(found):
+        console.print(part)
     if body_T_board is None:
         console.print("Sturm's method is left out: it needs --measured-x", highlight=False)
     if output is not None:
@@ -121,7 +122,13 @@ def _compare_poses(recording: Path, options: CalibrationOptions, quiet: bool) ->
         Terminal().print(closed_form_table(found.closed_forms))
 
 
-def _table(found: tuple[Compared, ...]) -> Table:
+def comparison_parts(found: Comparison) -> list[Table | Text]:
+    """The methods side by side; of those that failed, why."""
+    failed = (Text(f"{row.method}: {row.failure}") for row in found if row.failure)
+    return [_table(found), *failed]
+
+
+def _table(found: Comparison) -> Table:
     from gtcal.cli.tables import new_table
 
     with_truth = any(row.truth_mm is not None for row in found)

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import tyro
+from rich.text import Text
 
 if TYPE_CHECKING:
-    from gtcal.cli.terminal import Terminal
     from gtcal.doctor.findings import Diagnosis, Finding
     from gtcal.progress import Progress
 
@@ -57,7 +56,8 @@ def doctor(
     if json is not None:
         write_diagnosis(json, found)
     if not quiet:
-        _show(Terminal(), found)
+        for part in diagnosis_parts(found):
+            Terminal().print(part, soft_wrap=True)
         if json is not None:
             print(f"written: {json}")
     return 0 if found.healthy else 1
@@ -71,24 +71,20 @@ def _lollypop(recording: Path, calibration: Path, progress: Progress) -> Diagnos
     return diagnose_lollypop(load_lollypop_recording(recording), read_calibration(calibration), progress=progress)
 
 
-def _show(console: Terminal, found: Diagnosis) -> None:
-    def line(text: str, style: str = "") -> None:
-        console.print(text, style=style, highlight=False, soft_wrap=True)
-
-    for number, finding in enumerate(found.findings, start=1):
-        _show_finding(line, number, finding)
-    for note in found.notes:
-        line(f"note: {note}", "cyan")
-    line(found.statement, "green" if found.healthy else "bold red")
+def diagnosis_parts(found: Diagnosis) -> list[Text]:
+    """Line by line: each finding with its evidence and what to do, the notes, the outcome."""
+    parts = [part for number, finding in enumerate(found.findings, start=1) for part in _finding(number, finding)]
+    parts += [Text(f"note: {note}", style="cyan") for note in found.notes]
+    return [*parts, Text(found.statement, style="green" if found.healthy else "bold red")]
 
 
-def _show_finding(line: Callable[..., None], number: int, finding: Finding) -> None:
-    line(f"{number}. {finding.fault}: {finding.says}", "bold")
-    line(f"   evidence: {finding.evidence}")
-    for text in finding.lines:
-        line(f"   write in the manifest:  {text}", "green")
-    for text in finding.advice:
-        line(f"   do: {text}", "green")
-    for text in finding.alternatives:
-        line(f"   alternative that the data do not rule out: {text}", "yellow")
-    line("")
+def _finding(number: int, finding: Finding) -> list[Text]:
+    alternatives = (f"   alternative that the data do not rule out: {text}" for text in finding.alternatives)
+    return [
+        Text(f"{number}. {finding.fault}: {finding.says}", style="bold"),
+        Text(f"   evidence: {finding.evidence}"),
+        *(Text(f"   write in the manifest:  {text}", style="green") for text in finding.lines),
+        *(Text(f"   do: {text}", style="green") for text in finding.advice),
+        *(Text(text, style="yellow") for text in alternatives),
+        Text(""),
+    ]

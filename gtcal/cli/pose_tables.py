@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from rich.console import Group, RenderableType
@@ -17,14 +17,19 @@ from gtcal.results.calibration import PoseEstimate
 
 def print_pose_calibration(calibration: PoseCalibration, *, notes: Sequence[str] = (), verbose: bool = False) -> None:
     """Print fit, poses, closed forms and warnings; ``verbose`` adds the stages and what was left out."""
+    Terminal().print(Group(*pose_calibration_parts(calibration, notes=notes, verbose=verbose)))
+
+
+def pose_calibration_parts(
+    calibration: PoseCalibration, *, notes: Sequence[str] = (), verbose: bool = False
+) -> list[RenderableType]:
     parts: list[RenderableType] = [_fit_table(calibration), _pose_table(calibration)]
     parts += [closed_form_table(calibration.closed_forms)]
     if verbose:
         parts.append(stage_table(calibration.stages))
         parts += [Text(f"left out of {d.camera}: {d.n_views} views: {d.reason}") for d in calibration.dropped]
     parts += [Text(f"note: {note}", style="cyan") for note in notes]
-    parts += [Text(f"warning: {warning}", style="yellow") for warning in calibration.warnings]
-    Terminal().print(Group(*parts))
+    return [*parts, *(Text(f"warning: {warning}", style="yellow") for warning in calibration.warnings)]
 
 
 def _fit_table(calibration: PoseCalibration) -> Table:
@@ -59,15 +64,20 @@ def _noise(mm: Sequence[float], deg: Sequence[float]) -> tuple[str, str]:
 
 
 def _pose_table(calibration: PoseCalibration) -> Table:
+    cameras = {name: camera.camera_T_ref for name, camera in calibration.cameras.items()}
+    return place_table(cameras, calibration.body_T_board)
+
+
+def place_table(cameras: Mapping[str, PoseEstimate], body_T_board: PoseEstimate) -> Table:
+    """Where each camera is in ref, and the board in its body, with 1-sigma."""
     table = new_table("where they are", caption="1-sigma: of the noise of cameras and mocap that was found")
     for heading in ("position, mm", "in", "1-sigma, mm", "deg"):
         table.add_column(heading, justify="left" if heading == "in" else "right")
-    for name, camera in calibration.cameras.items():
-        pose = camera.camera_T_ref
+    for name, pose in cameras.items():
         sigmas = _sigmas(pose, pose.position_of_a_in_b_sigma_mm)
         table.add_row(name, vector(1e3 * pose.position_of_a_in_b_m), "ref", *sigmas)
-    board = calibration.body_T_board
-    table.add_row("board", vector(1e3 * board.a_T_b[:3, 3]), "body", *_sigmas(board, board.position_of_b_in_a_sigma_mm))
+    sigmas = _sigmas(body_T_board, body_T_board.position_of_b_in_a_sigma_mm)
+    table.add_row("board", vector(1e3 * body_T_board.a_T_b[:3, 3]), "body", *sigmas)
     return table
 
 

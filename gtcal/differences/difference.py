@@ -21,6 +21,7 @@ from factors.board_shape import N_SHAPE, outline_of, shaped
 from factors.rigid import adjoint, inverse
 from gtcal.board import board_from_manifest
 from gtcal.camera import FloatArray
+from gtcal.differences.exchanged import Exchanged, exchanged_cameras, known_pairs
 from gtcal.errors import GtcalError
 from gtcal.estimation.earlier import BOARD, SHAPE, intrinsics_of
 from gtcal.estimation.linear import squared_distance
@@ -153,13 +154,15 @@ class Difference(Presented):
     """aligned: B_ref_T_A_ref (4, 4), where ref was defined anew; the cameras' changes are then what is left of them.
     changes: of all cameras together (where there are several), of each camera, of its intrinsics, of the board and its
     shape.
-    pixels: by camera. notes: what was not compared, and why."""
+    pixels: by camera. notes: what was not compared, and why. exchanged: two cameras that stand where the other one
+    did."""
 
     options: DifferenceOptions
     changes: tuple[Change, ...]
     pixels: tuple[PixelChange, ...]
     aligned: FloatArray | None
     notes: tuple[str, ...] = field(default=())
+    exchanged: Exchanged | None = None
 
     @property
     def verdict(self) -> Verdict:
@@ -169,11 +172,13 @@ class Difference(Presented):
 
     @property
     def moved_statements(self) -> tuple[str, ...]:
-        """What moved, in a sentence each; the cameras to each other only where no single one of them surely did."""
+        """What moved, in a sentence each; the cameras to each other only where no single one of them surely did. First
+        of all, two whose images are swapped."""
         moved = [change for change in self.changes if change.moved]
         if any(change.what in {seen.camera for seen in self.pixels} for change in moved):
             moved = [change for change in moved if change.what != TO_EACH_OTHER]
-        return tuple(_sentence(change, self.options) for change in moved)
+        swapped = () if self.exchanged is None else (self.exchanged.statement,)
+        return (*swapped, *(_sentence(change, self.options) for change in moved))
 
     @property
     def statements(self) -> tuple[str, ...]:
@@ -228,7 +233,8 @@ def difference(a: Calibration, b: Calibration, options: DifferenceOptions | None
         *_of_the_shape(a, b),
     ]
     counted = tuple(replace(change, n_compared=len(changes)) for change in changes)
-    return Difference(options, counted, pixels, aligned, _notes(a, b))
+    exchanged = exchanged_cameras(b.estimate.camera_T_ref, known_pairs(a.estimate.camera_T_ref))
+    return Difference(options, counted, pixels, aligned, _notes(a, b), exchanged)
 
 
 def _notes(a: Calibration, b: Calibration) -> tuple[str, ...]:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from gtcal.results.presented import Presented
+
 MISFIT = "median misfit of mocap and images"
 ALONE = "distance that four fifths of the corners keep, each view with a board pose of its own"
 POSED = "views that the mocap has a pose for"
@@ -51,8 +53,8 @@ class Finding:
         return (*self.lines, *self.advice)
 
 
-@dataclass(frozen=True)
-class Diagnosis:
+@dataclass(frozen=True, repr=False)
+class Diagnosis(Presented):
     """What is wrong with a recording.
 
     findings: in the order in which they were found; a later one takes the earlier ones as put right.

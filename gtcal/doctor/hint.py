@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from gtcal.doctor.chain_search import ChainSearch
-from gtcal.estimation.alignment import GuideViews
+from gtcal.estimation.alignment import guides_of
 from gtcal.estimation.observations import Observations
-from gtcal.estimation.pnp import solve_pnp
 from gtcal.estimation.screening import GROSS_VIEW
 from gtcal.estimation.solver import MANY_DROPPED, fit_warnings
 from gtcal.results.calibration import Calibration
@@ -17,10 +16,7 @@ ALONE_PX = 2.0
 def likely_mistake(observations: Observations, *, seed: int, max_views: int) -> str:
     """What to change so that the data agree, with the evidence; empty where no single other reading of the trajectories
     helps."""
-    guides = {
-        name: GuideViews.of(views, solve_pnp(views, max_views=max_views)) for name, views in observations.views.items()
-    }
-    search = ChainSearch(guides, seed)
+    search = ChainSearch(guides_of(observations.views, max_views), seed)
     stated = search.fit(observations.motion)
     found = search.one_reading(observations.motion, stated)
     if found is None:

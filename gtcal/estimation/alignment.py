@@ -24,7 +24,7 @@ from gtcal.estimation.estimate import Estimate
 from gtcal.estimation.graph import AlignmentViews, Minimisation, alignment_graph, minimise, to_values, updated
 from gtcal.estimation.observations import Views
 from gtcal.estimation.options import SweepMode
-from gtcal.estimation.pnp import PnpViews
+from gtcal.estimation.pnp import PnpViews, solve_pnp
 from gtcal.estimation.procrustes import N_STARTS, SweepResult, alignment_sums, sweep
 from gtcal.estimation.residuals import select_views
 from gtcal.recordings.detections import IntArray
@@ -126,6 +126,13 @@ class Aligned:
     views: dict[str, AlignmentViews]
     sweep: SweepResult
     n_outlying: int
+
+
+def guides_of(views: Mapping[str, Views], max_views: int) -> dict[str, GuideViews]:
+    """Of each camera at most so many views, solved by PnP."""
+    return {
+        name: GuideViews.of(of_camera, solve_pnp(of_camera, max_views=max_views)) for name, of_camera in views.items()
+    }
 
 
 def stage_1(

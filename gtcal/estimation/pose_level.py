@@ -34,6 +34,8 @@ from gtcal.estimation.pose_noise import (
     weights_of,
 )
 from gtcal.estimation.procrustes import alignment_sums
+from gtcal.results.calibration import PoseEstimate
+from gtcal.results.presented import Presented
 
 FEWEST_VIEWS = 3
 
@@ -45,9 +47,11 @@ LEVER_M = 0.2
 """How far from its origin the board's points are taken to be where poses are aligned in 3-D, to start with."""
 
 
-@dataclass(frozen=True)
-class PoseLevel:
-    """camera_T_ref, body_T_board: (4, 4). covariance: (12, 12) of both, in that order, in their right tangents.
+@dataclass(frozen=True, repr=False)
+class PoseLevel(Presented):
+    """The result of ``calibrate_poses``.
+
+    camera_T_ref, body_T_board: (4, 4). covariance: (12, 12) of both, in that order, in their right tangents.
     weights: (V,) of the views, about 1, and near 0 for those that are gross. minus_log_likelihood: of the measured
     poses, but for a constant; it also tells which of two readings of the same poses is the likelier."""
 
@@ -58,11 +62,27 @@ class PoseLevel:
     weights: FloatArray
     minus_log_likelihood: float
 
+    @property
+    def poses(self) -> tuple[PoseEstimate, PoseEstimate]:
+        """camera_T_ref and body_T_board with their covariances."""
+        return (
+            PoseEstimate(self.camera_T_ref, self.covariance[:6, :6]),
+            PoseEstimate(self.body_T_board, self.covariance[6:, 6:]),
+        )
+
 
 def calibrate_poses(
     ref_T_body: FloatArray, camera_T_board: FloatArray, rng: np.random.Generator | None = None
 ) -> PoseLevel:
-    """One camera's extrinsic and the board's place from V >= 3 pairs of poses, (V, 4, 4) each, in order of time.
+    """Hand-eye calibration from poses alone: one camera's extrinsic and the board's place on its body.
+
+        found = gtcal.calibrate_poses(ref_T_body, camera_T_board)
+        found                # where the camera and the board are, with 1-sigma
+        found.camera_T_ref   # (4, 4)
+
+    ref_T_body: (V, 4, 4) of V >= 3 views in order of time, the poses of the board's body by a mocap or an arm, in m.
+    camera_T_board: (V, 4, 4), the board's poses in the camera at the same times, as a detector measured them.
+    rng: of the consensus of some views that is sought besides the alignment of all.
 
     Raises GtcalError for fewer pairs, a pose that is none, or where they leave a direction open."""
     if len(ref_T_body) < FEWEST_VIEWS or ref_T_body.shape != camera_T_board.shape:

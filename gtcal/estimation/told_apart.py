@@ -8,11 +8,10 @@ import numpy as np
 
 from gtcal.board import Board
 from gtcal.camera import FloatArray
-from gtcal.estimation.alignment import GuideViews, stage_1
+from gtcal.estimation.alignment import guides_of, stage_1
 from gtcal.estimation.estimate import Estimate
 from gtcal.estimation.observations import Observations, Views
 from gtcal.estimation.options import CalibrationOptions
-from gtcal.estimation.pnp import solve_pnp
 from gtcal.estimation.residuals import chain_residuals_px, median_by_view, norms
 from gtcal.recordings.detections import IntArray
 
@@ -22,10 +21,7 @@ def told_apart(observations: Observations, options: CalibrationOptions) -> Obser
     by a turn of the print that with the smallest rotation X. As they are where the print has one way up."""
     if len(observations.board.turns) == 1:
         return observations
-    guides = {
-        name: GuideViews.of(views, solve_pnp(views, max_views=options.pnp_views))
-        for name, views in observations.views.items()
-    }
+    guides = guides_of(observations.views, options.pnp_views)
     if any(not len(guide.corner_moments) for guide in guides.values()):
         return observations  # what PnP can't solve is told later
     estimate = stage_1(guides, np.random.default_rng(options.seed)).estimate

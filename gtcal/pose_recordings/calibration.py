@@ -31,6 +31,7 @@ from gtcal.pose_recordings.recording import PoseRecording
 from gtcal.progress import Progress, silent
 from gtcal.recordings.capture import Capture
 from gtcal.results.calibration import PoseEstimate, Provenance, StageReport, pose_difference
+from gtcal.results.presented import Presented
 from gtcal.results.provenance import provenance
 
 GROSS_WEIGHT = 0.2
@@ -91,8 +92,8 @@ class ClosedForm:
     failure: str = ""
 
 
-@dataclass(frozen=True)
-class PoseCalibration:
+@dataclass(frozen=True, repr=False)
+class PoseCalibration(Presented):
     """The result of ``calibrate_pose_recording``.
 
     covariance: (6 + 6 C, 6 + 6 C) of body_T_board and each camera_T_ref together, in their right tangents.

@@ -38,7 +38,7 @@ CONVENTIONS = (
 
 def write_pose_calibration(path: Path | str, calibration: PoseCalibration) -> None:
     """Write it, whole or not at all. Raises GtcalError where it can't be written."""
-    write_text(Path(path), json.dumps(_document(calibration), indent=1, allow_nan=False) + "\n")
+    write_text(Path(path), json.dumps(pose_calibration_document(calibration), indent=1, allow_nan=False) + "\n")
 
 
 def read_pose_calibration(path: Path | str) -> PoseCalibration:
@@ -48,7 +48,8 @@ def read_pose_calibration(path: Path | str) -> PoseCalibration:
     return read_result(Path(path), "pose_calibration", SCHEMA_VERSION, _calibration)
 
 
-def _document(calibration: PoseCalibration) -> dict[str, Any]:
+def pose_calibration_document(calibration: PoseCalibration) -> dict[str, Any]:
+    """As it stands in its file."""
     return {
         "gtcal_pose_calibration": SCHEMA_VERSION,
         "conventions": CONVENTIONS,

@@ -27,8 +27,8 @@ class Presented:
         return dict(json.loads(json.dumps(_asked("document", self), allow_nan=False)))
 
     def to_pandas(self) -> pandas.DataFrame:
-        """A row for each camera (of a difference for each change, of a series for each recording and camera), units in
-        the columns' names.
+        """A row for each camera (of a difference for each change, of a series for each recording and camera, of a
+        diagnosis for each finding, of a comparison for each method), units in the columns' names.
 
         Raises GtcalError where pandas is not installed."""
         return _asked("frame", self)

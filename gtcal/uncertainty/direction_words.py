@@ -59,6 +59,37 @@ def described(
     return _several(moving, cameras, placement)
 
 
+def in_detail(board: BoardMotion, cameras: Mapping[str, CameraMotion]) -> str:
+    """What tells a direction from another of the same words: how the board and each camera that takes part move, as
+    "'cam0' (0.012, -0.003, 0.001) mm in ref"."""
+    largest = max(board.size, *(camera.size for camera in cameras.values()))
+    moving = {name: _motion(camera) for name, camera in cameras.items() if camera.size >= TAKES_PART * largest}
+    parts = [f"{name!r} {moves}" for name, moves in moving.items()]
+    if board.size < TAKES_PART * largest:
+        parts = parts if len(moving) > 1 else list(moving.values())
+    else:
+        moves = f"{_vector(board.shift_mm)} mm" if _shifts(board) else f"{_vector(board.turn_deg)} deg"
+        parts.insert(0, f"the board {moves} in its body")
+    return ", ".join(parts)
+
+
+def _motion(camera: CameraMotion) -> str:
+    """The largest of shift, turn and lens."""
+    if camera.lens_size > max(camera.shift_size, camera.turn_size):
+        of_parts = (camera.focal_px, camera.centre_px, camera.distortion_px)
+        focal, centre, distortion = (_number(px) for px in of_parts)
+        return f"focal length {focal}, principal point {centre}, distortion {distortion} px"
+    if camera.shift_size >= camera.turn_size:
+        return f"{_vector(camera.shift_mm)} mm in ref"
+    return f"{_vector(camera.turn_deg)} deg about its own axes"
+
+
+def _vector(components: FloatArray) -> str:
+    """With the digits that the largest one needs for two."""
+    digits = max(0, 1 - int(np.floor(np.log10(max(float(np.abs(components).max()), 1e-9)))))
+    return f"({', '.join(f'{np.round(component, digits) + 0.0:.{digits}f}' for component in components)})"
+
+
 def shifts_all(board: BoardMotion, cameras: Mapping[str, CameraMotion]) -> bool:
     """Whether the board shifts and all cameras with it, one way and by about as much: only a turn tells this apart."""
     shifts_mm = [camera.shift_mm for camera in cameras.values()]

@@ -12,8 +12,9 @@ What the data leave open is the null space of the information, which has no cova
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 
 import gtsam
@@ -24,7 +25,7 @@ from gtcal.errors import GtcalError
 from gtcal.estimation.marginals import joint_information
 from gtcal.results.calibration import Calibration
 from gtcal.results.covariance import JointCovariance
-from gtcal.uncertainty.direction_words import described, shifts_all
+from gtcal.uncertainty.direction_words import described, in_detail, shifts_all
 from gtcal.uncertainty.motions import BoardMotion, CameraMotion, motions
 from gtcal.uncertainty.placement import UNIT_DEG, UNIT_MM, Placement
 
@@ -179,7 +180,16 @@ def _directions(
         _direction(size, *motion, placement, nothing_turned=n_shifts > 1)
         for size, motion in zip(weaknesses, told, strict=True)
     ]
-    return tuple(sorted(found, key=lambda one: -one.weakness))
+    return _told_apart(sorted(found, key=lambda one: -one.weakness))
+
+
+def _told_apart(found: list[WeakDirection]) -> tuple[WeakDirection, ...]:
+    """Of those whose words are alike, with what they differ in."""
+    count = Counter(one.what for one in found)
+    return tuple(
+        replace(one, what=f"{one.what} [{in_detail(one.board, one.cameras)}]") if count[one.what] > 1 else one
+        for one in found
+    )
 
 
 def _size(motion: FloatArray, placement: Placement) -> float:
