@@ -21,7 +21,7 @@ from browser import look_at
 from cli_support import files_in, run
 from fleet_support import KNOWN, SMALL, again, deadly
 
-from gtcal.cli.json_schemas import RESULTS
+from gtcal.cli.json_schemas import MODELS
 from gtcal.errors import GtcalError
 from gtcal.fleet import index
 from gtcal.fleet.batch import plan, run_batch
@@ -165,9 +165,9 @@ def test_jobs_as_csv_and_as_a_folder(fleet: Fleet) -> None:
 
 def test_what_is_printed_for_programs_has_a_schema(fleet: Fleet) -> None:
     ran = run("batch", fleet.jobs_file, "-o", fleet.store.path, "--dry-run", "--json")
-    RESULTS["batch-plan"].model_validate(json.loads(ran.out))
-    RESULTS["jobs"].model_validate(yaml.safe_load(fleet.jobs_file.read_text()))
-    for name in RESULTS:
+    MODELS["batch-plan"].model_validate(json.loads(ran.out))
+    MODELS["jobs"].model_validate(yaml.safe_load(fleet.jobs_file.read_text()))
+    for name in MODELS:
         assert json.loads(run("schema", name).out)["additionalProperties"] is False
     assert run("schema", "jobs", "--lollypop").code == 1
 
@@ -231,7 +231,7 @@ def test_a_failure_is_a_record_and_tried_again(fleet: Fleet, tmp_path: Path) -> 
     ran = run("batch", folder, "--taken-from", "name", "-j", 0, "-o", tmp_path / "store", "--json")
     assert ran.code == 1
     document = json.loads(ran.out)
-    RESULTS["batch"].model_validate(document)
+    MODELS["batch"].model_validate(document)
     (failed,) = [job for job in document["jobs"] if job["state"] == "failed"]
     assert failed["name"] == "2026-03-03_lollypop"
     assert "device_body.csv" in failed["error"]
@@ -484,7 +484,7 @@ def test_history_is_shown_and_written(fleet: Fleet, tmp_path: Path, monkeypatch:
     assert run("history", "-s", store, "--to", "csv").code in (0, 4)
     assert len(pandas.read_csv(tmp_path / "history.csv")) == 2 * len(frame)
     document = json.loads(run("history", "rig02", "-s", store, "--json").out)
-    RESULTS["history"].model_validate(document)
+    MODELS["history"].model_validate(document)
     assert [rig["rig"] for rig in document["rigs"]] == ["rig02"]
     ran = run("history", "rig99", "-s", store)
     assert (ran.code, ran.err.count("\n")) == (1, 1)
@@ -516,7 +516,7 @@ def test_the_station_shows_each_verdict(fleet: Fleet, copied: Store, tmp_path: P
     ran = run("watch", folder, "-s", copied.path, "--once", "--settle-s", 0.1, "--taken-from", "name")
     assert ran.code == 1
     line = json.loads(ran.out)
-    RESULTS["watch"].model_validate(line)
+    MODELS["watch"].model_validate(line)
     assert line["verdict"] is None
     assert "device_body.csv" in line["error"]
     page = (copied.path / "watch.html").read_text()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from math import isfinite
 from pathlib import Path
+from typing import Any
 
 from gtcal.baselines.compare import Compared
 from gtcal.files import write_text
@@ -15,14 +16,18 @@ SCHEMA_VERSION = 1
 
 def write_comparison(path: Path | str, found: tuple[Compared, ...]) -> None:
     """Write the comparison as JSON, whole or not at all. Raises GtcalError where it can't be written."""
+    write_text(Path(path), json.dumps(comparison_document(found), indent=1, allow_nan=False) + "\n")
+
+
+def comparison_document(found: tuple[Compared, ...]) -> dict[str, Any]:
+    """As it stands in the file."""
     joint = found[0].calibration
     assert joint is not None
-    document = {
+    return {
         "gtcal_comparison": SCHEMA_VERSION,
         "methods": [_row(row) for row in found],
         "provenance": provenance_document(joint.provenance),
     }
-    write_text(Path(path), json.dumps(document, indent=1, allow_nan=False) + "\n")
 
 
 def _row(row: Compared) -> dict[str, object]:

@@ -15,10 +15,11 @@ SCHEMA_VERSION = 1
 
 def write_diagnosis(path: Path | str, found: Diagnosis) -> None:
     """Write a diagnosis as JSON, whole or not at all. Raises GtcalError where it can't be written."""
-    write_text(Path(path), json.dumps(_document(found), indent=1, allow_nan=False) + "\n")
+    write_text(Path(path), json.dumps(diagnosis_document(found), indent=1, allow_nan=False) + "\n")
 
 
-def _document(found: Diagnosis) -> dict[str, Any]:
+def diagnosis_document(found: Diagnosis) -> dict[str, Any]:
+    """As it stands in doctor.json."""
     return {
         "gtcal_diagnosis": SCHEMA_VERSION,
         "healthy": found.healthy,

@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 from gtcal.cores import n_cores, use_cores
 from gtcal.errors import GtcalError
-from gtcal.fleet.run_job import Outcome, Task, run_task
+from gtcal.fleet.run_job import LostWorkersError, Outcome, Task, run_task
+from gtcal.fleet.sharing import run_shared
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -85,7 +86,7 @@ class InThisProcess:
 class DaskWorkers:
     """The workers of a Dask cluster, one task each."""
 
-    def __init__(self, client: Client, do: DoTask = run_task, *, own: bool = False) -> None:
+    def __init__(self, client: Client, do: DoTask = run_shared, *, own: bool = False) -> None:
         """own: the cluster is this batch's, and nobody else adds workers to it."""
         self._client, self._do, self._own = client, do, own
         self._seen_s = time.monotonic()
@@ -135,7 +136,7 @@ def _may_end_well(error: Exception) -> bool:
     it before or after."""
     from distributed import KilledWorker
 
-    return isinstance(error, MemoryError | KilledWorker)
+    return isinstance(error, MemoryError | KilledWorker | LostWorkersError)
 
 
 def _words(error: Exception) -> str:
@@ -143,14 +144,14 @@ def _words(error: Exception) -> str:
 
     if isinstance(error, MemoryError):
         return f"it ran out of memory, {RETRIES + 1} times"
-    if isinstance(error, KilledWorker):
+    if isinstance(error, KilledWorker | LostWorkersError):
         return "its workers were killed, by the system or for the memory that it took"
     return f"its worker failed: {type(error).__name__}: {error}"
 
 
 @contextmanager
 def dask_workers(
-    *, scheduler: str | None = None, jobs: int | None = None, do: DoTask = run_task
+    *, scheduler: str | None = None, jobs: int | None = None, do: DoTask = run_shared
 ) -> Iterator[DaskWorkers]:
     """Workers of the cluster at ``scheduler``, or of a local one of ``jobs`` processes (by default one a core); each
     takes one core. On leaving, a local cluster ends.
@@ -161,7 +162,7 @@ def dask_workers(
         import dask
         from distributed import Client, LocalCluster
     except ImportError:
-        raise GtcalError("batches run on Dask: pip install 'gtcal[fleet]', or give --jobs 0") from None
+        raise GtcalError("batches run on Dask: pip install 'gtcal[fleet]', or give --processes 0") from None
     logging.getLogger("distributed").setLevel(logging.CRITICAL)
     with dask.config.set(_OF_A_BUSY_MACHINE):
         if scheduler is not None:

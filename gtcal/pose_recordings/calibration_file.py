@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -38,7 +38,7 @@ CONVENTIONS = (
 
 def write_pose_calibration(path: Path | str, calibration: PoseCalibration) -> None:
     """Write it, whole or not at all. Raises GtcalError where it can't be written."""
-    write_text(Path(path), json.dumps(_document(calibration), indent=1, allow_nan=False) + "\n")
+    write_text(Path(path), json.dumps(pose_calibration_document(calibration), indent=1, allow_nan=False) + "\n")
 
 
 def read_pose_calibration(path: Path | str) -> PoseCalibration:
@@ -48,7 +48,8 @@ def read_pose_calibration(path: Path | str) -> PoseCalibration:
     return read_result(Path(path), "pose_calibration", SCHEMA_VERSION, _calibration)
 
 
-def _document(calibration: PoseCalibration) -> dict[str, Any]:
+def pose_calibration_document(calibration: PoseCalibration) -> dict[str, Any]:
+    """As it stands in the file."""
     return {
         "gtcal_pose_calibration": SCHEMA_VERSION,
         "conventions": CONVENTIONS,
@@ -64,6 +65,11 @@ def _document(calibration: PoseCalibration) -> dict[str, Any]:
         "dropped": [asdict(dropped) for dropped in calibration.dropped],
         "provenance": provenance_document(calibration.provenance),
     }
+
+
+def pose_comparison_document(forms: Sequence[ClosedForm]) -> dict[str, Any]:
+    """The closed forms alone, for ``--json``."""
+    return {"gtcal_pose_comparison": SCHEMA_VERSION, "closed_forms": [without_nan(asdict(form)) for form in forms]}
 
 
 def _camera_document(camera: PoseCamera) -> dict[str, Any]:
