@@ -54,6 +54,7 @@ class Station:
     calibration: Path | None = None
     taken_from: TakenFrom = "stamps"
     settle_s: float = 2.0
+    _coming: Snapshot = ()
     _growing: dict[Path, tuple[Snapshot, float]] = field(default_factory=dict)
     _settled: dict[Path, Snapshot] = field(default_factory=dict)
 
@@ -61,8 +62,11 @@ class Station:
         """The manifests of recordings that have become complete, and for how long they have not grown, s; each once,
         and again where its files have changed since. What others have by now is fingerprinted meanwhile, which takes
         longest of what can be done before they are complete."""
-        now = time.monotonic()
-        for manifest in recordings_in(self.folder):
+        manifests = list(recordings_in(self.folder))
+        coming = tuple(file for path in _coming(self.folder, {m.parent for m in manifests}) for file in snapshot(path))
+        _fingerprint_ahead(self._coming, coming)
+        self._coming, now = coming, time.monotonic()
+        for manifest in manifests:
             seen = snapshot(manifest.parent)
             if self._settled.get(manifest) == seen:
                 continue
@@ -133,6 +137,17 @@ def snapshot(folder: Path) -> Snapshot:
         if not path.is_dir():
             found.append((str(path), status.st_size, status.st_mtime_ns))
     return tuple(found)
+
+
+def _coming(folder: Path, recordings: set[Path]) -> Iterator[Path]:
+    """The folders below one that hold no recording yet, as those do whose manifest is written last."""
+    for path in sorted(folder.iterdir()):
+        if not path.is_dir() or path.name.startswith(".") or path in recordings:
+            continue
+        if any(recording.is_relative_to(path) for recording in recordings):
+            yield from _coming(path, recordings)
+        else:
+            yield path
 
 
 def _fingerprint_ahead(before: Snapshot, now: Snapshot) -> None:
