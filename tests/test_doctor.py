@@ -591,7 +591,7 @@ def test_a_right_reading_is_not_suspected(kind: str) -> None:
 def test_the_command_prints_and_writes_what_it_found(tmp_path: Path) -> None:
     folder = written(recorded(FIXED), tmp_path / "r", ["board_body.quaternion: xyzw"])
     before = files_in(folder)
-    ran = run("doctor", folder, "--json", tmp_path / "d.json")
+    ran = run("doctor", folder, "-o", tmp_path / "d.json")
     assert (ran.code, ran.err) == (1, "")
     evidence = re.search(r"median misfit of mocap and images falls from ([\d.]+) to ([\d.]+) mm", ran.out)
     assert float(evidence[1]) > 100.0 * float(evidence[2])
@@ -623,7 +623,7 @@ def test_the_command_says_what_it_can_not_look_at(tmp_path: Path) -> None:
     assert "not a capture kind" in run("doctor", folder).err
     folder = written(recorded(STANDING), tmp_path / "r2")
     (folder / "platform.csv").write_text("1,2,3\n")
-    ran = run("doctor", folder, "--json", tmp_path / "d.json")
+    ran = run("doctor", folder, "-o", tmp_path / "d.json")
     assert ran.code == 1
     assert "unexplained: " in ran.out
     assert "platform.csv" in json.loads((tmp_path / "d.json").read_text())["unexplained"]

@@ -8,9 +8,13 @@ import pickle
 import random
 import shutil
 import signal
+import socket
 import sqlite3
 import subprocess
+import sys
+import threading
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -21,9 +25,10 @@ from browser import look_at
 from cli_support import files_in, run
 from fleet_support import KNOWN, SMALL, again, deadly
 
-from gtcal.cli.json_schemas import RESULTS
+from gtcal.cli.json_schemas import MODELS
 from gtcal.errors import GtcalError
 from gtcal.fleet import index
+from gtcal.fleet import workers as workers_module
 from gtcal.fleet.batch import plan, run_batch
 from gtcal.fleet.history import histories
 from gtcal.fleet.inputs import gtcal_version
@@ -31,9 +36,11 @@ from gtcal.fleet.jobs import Job, JobsError, taken_ns_in, taken_ns_of, utc
 from gtcal.fleet.jobs_file import read_jobs
 from gtcal.fleet.measures import Measure
 from gtcal.fleet.rebuild import catch_up, rebuild
-from gtcal.fleet.record import RECORD, Contents, Record, read_record, record_text
+from gtcal.fleet.record import RECORD, Contents, Input, Record, read_record, record_text
+from gtcal.fleet.recording_page import recording_page
 from gtcal.fleet.run_job import Outcome, Task, run_task
 from gtcal.fleet.simulated import write_fleet
+from gtcal.fleet.site import _environment
 from gtcal.fleet.store import Store
 from gtcal.fleet.watch import Station
 from gtcal.fleet.watch_page import verdict
@@ -165,9 +172,9 @@ def test_jobs_as_csv_and_as_a_folder(fleet: Fleet) -> None:
 
 def test_what_is_printed_for_programs_has_a_schema(fleet: Fleet) -> None:
     ran = run("batch", fleet.jobs_file, "-o", fleet.store.path, "--dry-run", "--json")
-    RESULTS["batch-plan"].model_validate(json.loads(ran.out))
-    RESULTS["jobs"].model_validate(yaml.safe_load(fleet.jobs_file.read_text()))
-    for name in RESULTS:
+    MODELS["batch-plan"].model_validate(json.loads(ran.out))
+    MODELS["jobs"].model_validate(yaml.safe_load(fleet.jobs_file.read_text()))
+    for name in MODELS:
         assert json.loads(run("schema", name).out)["additionalProperties"] is False
     assert run("schema", "jobs", "--lollypop").code == 1
 
@@ -231,7 +238,7 @@ def test_a_failure_is_a_record_and_tried_again(fleet: Fleet, tmp_path: Path) -> 
     ran = run("batch", folder, "--taken-from", "name", "-j", 0, "-o", tmp_path / "store", "--json")
     assert ran.code == 1
     document = json.loads(ran.out)
-    RESULTS["batch"].model_validate(document)
+    MODELS["batch"].model_validate(document)
     (failed,) = [job for job in document["jobs"] if job["state"] == "failed"]
     assert failed["name"] == "2026-03-03_lollypop"
     assert "device_body.csv" in failed["error"]
@@ -401,6 +408,69 @@ def test_killed_workers_are_replaced_and_recorded(fleet: Fleet, tmp_path: Path) 
     assert agrees(store)
 
 
+@pytest.mark.long
+def test_a_lost_scheduler_is_a_line_and_late_workers_are_waited_for(
+    fleet: Fleet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Of a real 'dask scheduler', whose 'dask worker' comes after the batch."""
+    monkeypatch.setattr(workers_module, "_TOLD_AFTER_S", 0.5)
+    address, store = f"tcp://127.0.0.1:{_free_port()}", Store.made(tmp_path / "store")
+    tests = str(Path(__file__).parent)  # whose functions the worker is to run
+    environment = os.environ | {"PYTHONPATH": f"{tests}{os.pathsep}{os.environ.get('PYTHONPATH', '')}"}
+    with pytest.raises(GtcalError, match=r"no Dask scheduler answers there"), dask_workers(scheduler=address):
+        pass
+    started: list[subprocess.Popen[bytes]] = []
+
+    def start(*command: str) -> None:
+        program = [sys.executable, "-m", "distributed.cli." + command[0], *command[1:], "--no-dashboard"]
+        quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+        started.append(subprocess.Popen(program, env=environment, cwd=tmp_path, **quiet))  # type: ignore[call-overload]
+
+    def ended(record: Record) -> None:
+        told.append(record.identity)
+        if len(told) == 3:
+            started[0].kill()
+
+    told: list[tuple[str, str, str]] = []
+    try:
+        start("dask_scheduler", "--host", "127.0.0.1", "--port", address.split(":")[-1])
+        _until(lambda: _answers(address))
+        threading.Timer(3.0, start, ("dask_worker", address, "--nthreads", "1")).start()
+        with (
+            pytest.raises(GtcalError, match=rf"the Dask scheduler {address} was lost; what was done is in the store"),
+            store.locked(),
+            dask_workers(scheduler=address, do=again) as workers,
+        ):
+            run_batch(store, fleet.jobs, workers, COMMAND, ended=ended)
+    finally:
+        for process in started:
+            process.kill()
+            process.wait()
+    assert f"the cluster at {address} has no workers; waiting for them" in caplog.text
+    assert 3 <= len(told) < len(fleet.jobs)
+    assert agrees(store)
+    assert not run_batch(store, fleet.jobs, InThisProcess(again), COMMAND).failed
+    assert untimed(store) == untimed(fleet.store)
+
+
+def _free_port() -> int:
+    with socket.socket() as found:
+        found.bind(("127.0.0.1", 0))
+        return int(found.getsockname()[1])
+
+
+def _answers(address: str) -> bool:
+    with socket.socket() as asking:
+        return asking.connect_ex(("127.0.0.1", int(address.split(":")[-1]))) == 0
+
+
+def _until(holds: Callable[[], bool]) -> None:
+    until = time.monotonic() + 60.0
+    while not holds():
+        assert time.monotonic() < until
+        time.sleep(0.1)
+
+
 def test_a_full_disk_is_a_line_and_no_half_file(fleet: Fleet, tmp_path: Path) -> None:
     small = tmp_path / "small"
     small.mkdir()
@@ -448,7 +518,8 @@ def test_the_site_in_a_browser(fleet: Fleet, copied: Store, tmp_path: Path) -> N
     copied.put(Outcome(hostile, files={RECORD: record_text(hostile), **_result_of(copied, record)}))
     rebuild(copied)
     assert run("site", tmp_path / "site", "-s", copied.path, "-q").code == 0
-    for page, images in (("index.html", 0), ("rigs/rig01.html", 4)):
+    recording = "recordings/rig01/2026-03-10_lollypop.verify.html"
+    for page, images in (("index.html", 0), ("rigs/rig01.html", 4), (recording, 0)):
         for width_px in (1300, 400):
             seen = look_at(tmp_path / "site" / page, tmp_path, width_px=width_px)
             assert (seen.heard, seen.console, seen.missing) == ([], [], [])
@@ -458,6 +529,21 @@ def test_the_site_in_a_browser(fleet: Fleet, copied: Store, tmp_path: Path) -> N
     assert "<img" not in text
     assert "&lt;img src=x" in text
     assert "http" not in text.replace("http-equiv", "")
+
+
+def test_a_recording_without_a_report_has_a_page(fleet: Fleet) -> None:
+    history = histories(fleet.store)["rig01"]
+    for event in (history.events[0], history.events[-1]):
+        record = replace(event.record, name="<b>a</b>", inputs=(Input("/data/<i>", 64 * "0"),))
+        text = recording_page(_environment(), event, record, "pass", "✓", "../../rigs/rig01.html")
+        assert "<b>a" not in text
+        assert "&lt;b&gt;a" in text
+        assert "/data/&lt;i&gt;, SHA-256 0000000000000000…" in text
+        for camera in history.cameras:
+            assert f'<th class="num">{camera}</th>' in text
+        words = {"verify": "mean error outwards, px", "calibrate": "moved along z, mm"}
+        assert words[record.kind] in text
+        assert f"{event.measures['front_left', 'rmse_px'][0]:.3g}"[:4] in text
 
 
 def _result_of(store: Store, record: object) -> dict[str, str]:
@@ -484,7 +570,7 @@ def test_history_is_shown_and_written(fleet: Fleet, tmp_path: Path, monkeypatch:
     assert run("history", "-s", store, "--to", "csv").code in (0, 4)
     assert len(pandas.read_csv(tmp_path / "history.csv")) == 2 * len(frame)
     document = json.loads(run("history", "rig02", "-s", store, "--json").out)
-    RESULTS["history"].model_validate(document)
+    MODELS["history"].model_validate(document)
     assert [rig["rig"] for rig in document["rigs"]] == ["rig02"]
     ran = run("history", "rig99", "-s", store)
     assert (ran.code, ran.err.count("\n")) == (1, 1)
@@ -516,7 +602,7 @@ def test_the_station_shows_each_verdict(fleet: Fleet, copied: Store, tmp_path: P
     ran = run("watch", folder, "-s", copied.path, "--once", "--settle-s", 0.1, "--taken-from", "name")
     assert ran.code == 1
     line = json.loads(ran.out)
-    RESULTS["watch"].model_validate(line)
+    MODELS["watch"].model_validate(line)
     assert line["verdict"] is None
     assert "device_body.csv" in line["error"]
     page = (copied.path / "watch.html").read_text()

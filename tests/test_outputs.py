@@ -23,7 +23,7 @@ from gtcal.files import check_outputs, write_aside, write_folder, write_text
 from gtcal.simulation import write_simulation
 from gtcal.simulation.lollypop import LollypopOptions, simulate_lollypop, write_lollypop_simulation
 
-OUTPUTS = ("output", "report", "json", "csv", "figure", "sightings")
+OUTPUTS = ("output", "report", "csv", "figure", "sightings")
 """What commands call the paths that they write to."""
 
 # By command: its arguments without outputs, and a file that it reads.

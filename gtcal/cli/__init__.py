@@ -123,11 +123,18 @@ def _ending_in_words() -> Iterator[None]:
 
 
 def _words_beside_data(arguments: Sequence[str]) -> AbstractContextManager[object]:
-    """Where an output goes to /dev/stdout, what is shown goes to stderr: who reads the output wants nothing else."""
+    """Where an output goes to /dev/stdout, or JSON to standard output, what is shown goes to stderr: who reads the
+    output wants nothing else. Raises GtcalError where both are asked for."""
+    from gtcal.cli.json_output import OPTION, alone_on_standard_output
+    from gtcal.errors import GtcalError
     from gtcal.files import is_standard_output
 
     values = [argument.partition("=")[2] if argument.startswith("--") else argument for argument in arguments]
     to_stdout = any(value not in ("", os.devnull) and is_standard_output(Path(value)) for value in values)
+    if OPTION in arguments:
+        if to_stdout:
+            raise GtcalError(f"{OPTION} prints the result on standard output: leave out the output that goes there too")
+        return alone_on_standard_output()
     return redirect_stdout(sys.stderr) if to_stdout else nullcontext()
 
 

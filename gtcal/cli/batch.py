@@ -26,7 +26,7 @@ def batch(
     *,
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"], metavar="STORE")] = Path("store"),
     dry_run: bool = False,
-    jobs: Annotated[int | None, tyro.conf.arg(aliases=["-j"])] = None,
+    processes: Annotated[int | None, tyro.conf.arg(aliases=["-j"])] = None,
     scheduler: str | None = None,
     taken_from: Literal["stamps", "name"] = "stamps",
     reports: bool = False,
@@ -61,7 +61,8 @@ def batch(
         jobs_: YAML or CSV file of jobs, or a folder of recordings.
         output: Folder of the store; made where it is missing.
         dry_run: List what would run and why, and run nothing.
-        jobs: Processes, each on one core; by default one a core. 0: in this process, one after the other, without Dask.
+        processes: So many, each on one core; by default one a core. 0: in this process, one after the other, without
+            Dask.
         scheduler: Address of a running Dask scheduler (tcp://host:8786) whose workers do the jobs; they must see the
             recordings and the store under the same paths, and have gtcal installed.
         taken_from: When recordings were taken whose jobs don't say: by their time stamps, which then have to be dates,
@@ -81,10 +82,10 @@ def batch(
     from gtcal.fleet.store import Store
     from gtcal.plain import one_line
 
-    if jobs is not None and jobs < 0:
-        raise GtcalError(f"--jobs {jobs}: expected 0 or more")
-    if jobs is not None and scheduler is not None:
-        raise GtcalError("--jobs is of a cluster of this batch's own, not of that at --scheduler: give one of them")
+    if processes is not None and processes < 0:
+        raise GtcalError(f"--processes {processes}: expected 0 or more")
+    if processes is not None and scheduler is not None:
+        raise GtcalError("--processes are this batch's own, not those of the cluster at --scheduler: give one of them")
     try:
         stated = read_jobs(jobs_, taken_from=taken_from, report=reports)
     except JobsError as error:
@@ -94,15 +95,15 @@ def batch(
     if dry_run:
         plans = plan(Store.opened(output) if output.exists() else None, stated)
         if json:
-            print_json("batch", plan_document(plans))
+            print_json(plan_document(plans))
         elif not quiet:
             print_plans(plans, verbose=verbose)
         return 0
     store = Store.made(output)
-    with store.locked(), shown_progress(quiet or json) as progress:
-        found, was_stopped = _run(store, stated, jobs, scheduler, progress, quiet or json)
+    with store.locked(), shown_progress(quiet) as progress:
+        found, was_stopped = _run(store, stated, processes, scheduler, progress, quiet)
     if json:
-        print_json("batch", batch_document(store, found))
+        print_json(batch_document(store, found))
     elif not quiet:
         print_batch(store, found, verbose=verbose)
     return 130 if was_stopped else exit_code(found)

@@ -71,6 +71,7 @@ def calibrate(
     pnp_views: int = 100,
     seed: int = 0,
     allow_degenerate: bool = False,
+    json: bool = False,
     verbose: Annotated[bool, tyro.conf.arg(aliases=["-v"])] = False,
     quiet: Annotated[bool, tyro.conf.arg(aliases=["-q"])] = False,
 ) -> None:
@@ -146,9 +147,11 @@ def calibrate(
         pnp_views: At most this many views per camera guide stages 1 and 2; stage 3 takes all.
         seed: Of the random starting rotations of stage 1.
         allow_degenerate: Solve even where the motion cannot determine the result.
+        json: Print the result as JSON in place of tables, as calibration.json holds it ('gtcal schema calibration').
         verbose: Print the distortion with its sigmas, the stages, and what was left out and why.
         quiet: Show no progress and print nothing.
     """
+    from gtcal.cli.json_output import print_json
     from gtcal.cli.progress import shown_progress
     from gtcal.cli.tables import print_calibration
     from gtcal.estimation.options import CalibrationOptions
@@ -157,7 +160,7 @@ def calibrate(
     from gtcal.files import check_outputs
     from gtcal.pose_recordings.recording import holds_poses
     from gtcal.recordings.recording import load_recording
-    from gtcal.results.calibration_file import write_calibration
+    from gtcal.results.calibration_file import calibration_document, write_calibration
     from gtcal.workflow import calibrate_jointly
 
     options = CalibrationOptions(
@@ -187,7 +190,7 @@ def calibrate(
     )
     if holds_poses(recording):
         asked = {"report": report, "priors": priors, "from": from_, "more than one recording": more or None}
-        _calibrate_poses(recording, options, output, asked, verbose=verbose, quiet=quiet)
+        _calibrate_poses(recording, options, output, asked, json=json, verbose=verbose, quiet=quiet)
         return
     loaded = [load_recording(path) for path in (recording, *more)]
     earlier = None if from_ is None else _earlier(from_, from_parts, from_days, from_growth)
@@ -198,7 +201,9 @@ def calibrate(
         if report is not None:
             _write_report(report, calibration, loaded[-1], progress)
     write_calibration(output, calibration)
-    if not quiet:
+    if json:
+        print_json(calibration_document(calibration))
+    elif not quiet:
         print_calibration(calibration, notes=[note for one in loaded for note in one.notes], verbose=verbose)
         print(f"written: {output}" + (f", {report}" if report is not None else ""))
 
@@ -209,6 +214,7 @@ def _calibrate_poses(
     output: Path,
     asked: Mapping[str, object],
     *,
+    json: bool,
     verbose: bool,
     quiet: bool,
 ) -> None:
@@ -217,13 +223,14 @@ def _calibrate_poses(
     Raises GtcalError for what needs corners."""
     from dataclasses import fields
 
+    from gtcal.cli.json_output import print_json
     from gtcal.cli.pose_tables import print_pose_calibration
     from gtcal.cli.progress import shown_progress
     from gtcal.errors import GtcalError
     from gtcal.estimation.options import CalibrationOptions
     from gtcal.files import check_outputs
     from gtcal.pose_recordings.calibration import calibrate_pose_recording
-    from gtcal.pose_recordings.calibration_file import write_pose_calibration
+    from gtcal.pose_recordings.calibration_file import pose_calibration_document, write_pose_calibration
     from gtcal.pose_recordings.recording import load_pose_recording
 
     plain, count = CalibrationOptions(), {"seed", "eps", "max_iterations", "allow_degenerate", "priors"}
@@ -240,7 +247,9 @@ def _calibrate_poses(
     with shown_progress(quiet) as progress:
         found = calibrate_pose_recording(loaded, options, progress=progress)
     write_pose_calibration(output, found)
-    if not quiet:
+    if json:
+        print_json(pose_calibration_document(found))
+    elif not quiet:
         print_pose_calibration(found, notes=loaded.notes, verbose=verbose)
         print(f"written: {output}")
 

@@ -25,6 +25,7 @@ def compare(
     calibrate_intrinsics: bool = False,
     clock: Literal["trust", "estimate", "per_camera"] = "trust",
     seed: int = 0,
+    json: bool = False,
     quiet: Annotated[bool, tyro.conf.arg(aliases=["-q"])] = False,
 ) -> None:
     """Calibrate a recording by the joint solution and by other methods, and compare.
@@ -47,11 +48,13 @@ def compare(
         calibrate_intrinsics: As for 'gtcal calibrate'.
         clock: 'estimate' or 'per_camera': correct the clocks' offset first, as 'gtcal calibrate' does.
         seed: Of the random numbers.
+        json: Print the result as JSON in place of tables ('gtcal schema comparison').
         quiet: Show no progress and print nothing.
     """
     from gtcal.baselines.compare import Comparison, compare_markers
     from gtcal.baselines.compare import compare as run
-    from gtcal.baselines.compare_file import write_comparison
+    from gtcal.baselines.compare_file import comparison_document, write_comparison
+    from gtcal.cli.json_output import print_json
     from gtcal.cli.progress import shown_progress
     from gtcal.cli.terminal import Terminal
     from gtcal.errors import GtcalError
@@ -74,7 +77,7 @@ def compare(
     if holds_poses(recording):
         if lollypop or measured_x or markers or output or calibrate_intrinsics or clock != "trust":
             raise GtcalError(f"{recording}: has poses in place of corners, which are compared without any option")
-        _compare_poses(recording, options, quiet)
+        _compare_poses(recording, options, json, quiet)
         return
     loaded = load_recording(recording)
     beside = _truth_beside(loaded.path)
@@ -89,7 +92,9 @@ def compare(
             found = Comparison((*found, seen))
     if output is not None:
         write_comparison(output, found)
-    if quiet:
+    if json:
+        print_json(comparison_document(found))
+    if json or quiet:
         return
     console = Terminal()
     for part in comparison_parts(found):
@@ -108,17 +113,21 @@ def _truth_beside(manifest: Path | None) -> Path | None:
     return path if path is not None and path.is_file() else None
 
 
-def _compare_poses(recording: Path, options: CalibrationOptions, quiet: bool) -> None:
+def _compare_poses(recording: Path, options: CalibrationOptions, json: bool, quiet: bool) -> None:
+    from gtcal.cli.json_output import print_json
     from gtcal.cli.pose_tables import closed_form_table
     from gtcal.cli.progress import shown_progress
     from gtcal.cli.terminal import Terminal
     from gtcal.pose_recordings.calibration import calibrate_pose_recording
+    from gtcal.pose_recordings.calibration_file import pose_comparison_document
     from gtcal.pose_recordings.recording import load_pose_recording
 
     loaded = load_pose_recording(recording)
     with shown_progress(quiet) as progress:
         found = calibrate_pose_recording(loaded, options, progress=progress)
-    if not quiet:
+    if json:
+        print_json(pose_comparison_document(found.closed_forms))
+    elif not quiet:
         Terminal().print(closed_form_table(found.closed_forms))
 
 

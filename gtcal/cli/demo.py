@@ -25,6 +25,7 @@ def demo(
     image_scale: float = _IMAGE_SCALE,
     seed: int = 1,
     fleet: bool = False,
+    json: bool = False,
     quiet: Annotated[bool, tyro.conf.arg(aliases=["-q"])] = False,
 ) -> None:
     """Render two small recordings, calibrate from one, verify with the other, and compare with the truth.
@@ -42,18 +43,20 @@ def demo(
         seed: Another number, other recordings.
         fleet: Show instead what 'gtcal batch', 'history' and 'site' make of many recordings: of five rigs over eight
             weeks, simulated without images; one drifts, one is bumped, a lens of one warms. Needs 'gtcal[fleet]'.
+        json: Print the results as JSON in place of tables ('gtcal schema demo', and with --fleet 'history').
         quiet: Show no progress and print nothing.
     """
+    from gtcal.cli.json_output import print_json
     from gtcal.cli.progress import shown_progress
-    from gtcal.cli.tables import print_calibration, print_errors
+    from gtcal.cli.tables import errors, print_calibration, print_errors
     from gtcal.cli.verification_tables import print_verification
     from gtcal.errors import GtcalError
     from gtcal.estimation.options import CalibrationOptions, MocapSigmas
     from gtcal.files import check_outputs, write_text
     from gtcal.report import gather_evidence, write_report
-    from gtcal.results.calibration_file import write_calibration
+    from gtcal.results.calibration_file import calibration_document, write_calibration
     from gtcal.simulation import MocapNoise, SimulationOptions, quest3_like_rig, simulate
-    from gtcal.verification.verification_file import write_verification
+    from gtcal.verification.verification_file import verification_document, write_verification
     from gtcal.workflow import calibrate
 
     if fleet and (frames, image_scale) != (_FRAMES, _IMAGE_SCALE):
@@ -62,7 +65,7 @@ def demo(
     _clear_earlier_demo(output)
     write_text(output / _MARK, "")  # before the rest, so that an interrupted demo can be run again
     if fleet:
-        _show_fleet(output, seed, quiet)
+        _show_fleet(output, seed, json, quiet)
         return
     options = SimulationOptions(
         rig=quest3_like_rig().scaled(image_scale), n_frames=frames, mocap=MocapNoise(MOCAP_MM, MOCAP_DEG)
@@ -77,18 +80,29 @@ def demo(
         write_report(output / "report.html", calibration, evidence=evidence, verification=verification)
     write_calibration(output / "calibration.json", calibration)
     write_verification(output / "verification.json", verification)
-    if not quiet:
+    if json:
+        names = ("what", "position_mm", "rotation_deg")
+        document = {
+            "gtcal_demo": 1,
+            "folder": str(output),
+            "calibration": calibration_document(calibration),
+            "errors": [dict(zip(names, error, strict=True)) for error in errors(calibration, simulation.truth)],
+            "verification": verification_document(verification),
+        }
+        print_json(document)
+    elif not quiet:
         print_calibration(calibration, verbose=True)
         print_errors(calibration, simulation.truth)
         print_verification(verification)
         print(f"report: {output / 'report.html'}   (recordings and results: {output}/)")
 
 
-def _show_fleet(folder: Path, seed: int, quiet: bool) -> None:
+def _show_fleet(folder: Path, seed: int, json: bool, quiet: bool) -> None:
     """Simulated recordings of a fleet, and all that the commands for fleets make of them."""
     import sys
 
-    from gtcal.cli.history_tables import print_fleet
+    from gtcal.cli.history_tables import history_document, print_fleet
+    from gtcal.cli.json_output import print_json
     from gtcal.cli.progress import shown_progress
     from gtcal.fleet.batch import run_batch
     from gtcal.fleet.history import RUN_LENGTH, histories
@@ -104,7 +118,9 @@ def _show_fleet(folder: Path, seed: int, quiet: bool) -> None:
         jobs = read_jobs(write_fleet(folder / "recordings", demo_fleet(seed), progress=progress))
         run_batch(store, jobs, workers, command_line, progress=progress)
         write_site(folder / "site", store, run_length=RUN_LENGTH, progress=progress)
-    if not quiet:
+    if json:
+        print_json(history_document(list(histories(store).values()), RUN_LENGTH))
+    elif not quiet:
         print_fleet(list(histories(store).values()))
         print(f"recordings, store and site: {folder}/; open {folder / 'site' / 'index.html'}")
 

@@ -14,6 +14,7 @@ def detect(
     output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None,
     redo: bool = False,
     guided: bool = True,
+    json: bool = False,
     quiet: Annotated[bool, tyro.conf.arg(aliases=["-q"])] = False,
 ) -> None:
     """Find the board in a recording's images, and keep the corners beside the recording.
@@ -28,10 +29,12 @@ def detect(
         guided: Where a camera has many images, search the board in some only; the mocap and a calibration from those
             say where it is in the others, and its corners are fitted there. Faster, and finds more; the corners are
             the same.
+        json: Print the yield as JSON in place of a table ('gtcal schema detection').
         quiet: Show no progress and print nothing.
     """
+    from gtcal.cli.json_output import print_json
     from gtcal.cli.progress import shown_progress
-    from gtcal.cli.tables import detection_table
+    from gtcal.cli.tables import detection_document, detection_table
     from gtcal.cli.terminal import Terminal
     from gtcal.files import check_outputs
     from gtcal.recordings.detection_files import write_detections
@@ -47,5 +50,7 @@ def detect(
     if output is not None:
         for name, detections in found.detections.items():
             write_detections(output / f"{name}.csv", detections, numbered=loaded.numbered)
-    if not quiet:
+    if json:
+        print_json(detection_document(found))
+    elif not quiet:
         Terminal().print(detection_table(found))

@@ -22,6 +22,7 @@ def diff(
     max_mm: float = 1.0,
     max_px: float = 0.5,
     distance_m: float = 1.0,
+    json: bool = False,
     quiet: Annotated[bool, tyro.conf.arg(aliases=["-q"])] = False,
 ) -> int:
     """Compare two calibrations of one rig, from recordings of their own: what moved, what is the same, and what they
@@ -45,16 +46,18 @@ def diff(
         max_mm: Tolerance on the place of a camera or the board; that of 'gtcal verify'.
         max_px: Tolerance on the pixels of points in ref, RMS over the image; that of 'gtcal verify'.
         distance_m: Of these points from the camera.
+        json: Print the result as JSON in place of tables ('gtcal schema difference').
         quiet: Print nothing; the exit code tells.
     """
     import time
 
+    from gtcal.cli.json_output import print_json
     from gtcal.cli.terminal import Terminal
     from gtcal.differences.difference import DifferenceOptions, difference
-    from gtcal.differences.difference_file import write_difference
+    from gtcal.differences.difference_file import difference_document, write_difference
     from gtcal.errors import GtcalError
     from gtcal.files import check_outputs, fingerprint
-    from gtcal.results.calibration_file import read_calibration
+    from gtcal.results.calibration_file import provenance_document, read_calibration
     from gtcal.results.provenance import provenance
 
     started = time.perf_counter()
@@ -72,9 +75,12 @@ def diff(
         from gtcal.differences.difference_figure import draw_difference
 
         draw_difference(figure, found, {name: camera.camera for name, camera in a.cameras.items()})
+    made = provenance(options, inputs, time.perf_counter() - started)
     if output is not None:  # after the figure, which may be refused for its suffix
-        write_difference(output, found, provenance(options, inputs, time.perf_counter() - started))
-    if not quiet:
+        write_difference(output, found, made)
+    if json:
+        print_json(difference_document(found) | {"provenance": provenance_document(made)})
+    elif not quiet:
         console = Terminal()
         console.print(difference_table(found))
         for line in (f"{found.verdict}", *found.statements, *(f"note: {note}" for note in found.notes)):

@@ -17,7 +17,8 @@ def doctor(
     recording: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="RECORDING")],
     *,
     calibration: Path | None = None,
-    json: Path | None = None,
+    output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None,
+    json: bool = False,
     quiet: Annotated[bool, tyro.conf.arg(aliases=["-q"])] = False,
 ) -> int:
     """Find out what is wrong with a recording: what, the evidence, and the lines of its manifest to change.
@@ -35,31 +36,35 @@ def doctor(
     Args:
         recording: Folder with the manifest (recording.yaml or recording.json), or the manifest itself.
         calibration: Of a recording of the Lollypop: the calibration, taken as right, by which it is judged.
-        json: JSON file to write the findings to.
+        output: JSON file to write the findings to.
+        json: Print the findings as JSON in place of words ('gtcal schema diagnosis').
         quiet: Show no progress and print nothing: the exit code tells.
     """
+    from gtcal.cli.json_output import print_json
     from gtcal.cli.progress import shown_progress
     from gtcal.cli.terminal import Terminal
     from gtcal.doctor.diagnose import diagnose
-    from gtcal.doctor.diagnosis_file import write_diagnosis
+    from gtcal.doctor.diagnosis_file import diagnosis_document, write_diagnosis
     from gtcal.files import check_outputs
     from gtcal.recordings.manifest import named_files
 
-    if json is not None:
-        check_outputs([json], [*named_files(recording), *([calibration] if calibration is not None else [])])
+    if output is not None:
+        check_outputs([output], [*named_files(recording), *([calibration] if calibration is not None else [])])
     with shown_progress(quiet) as progress:
         found = (
             diagnose(recording, progress=progress)
             if calibration is None
             else _lollypop(recording, calibration, progress)
         )
-    if json is not None:
-        write_diagnosis(json, found)
-    if not quiet:
+    if output is not None:
+        write_diagnosis(output, found)
+    if json:
+        print_json(diagnosis_document(found))
+    elif not quiet:
         for part in diagnosis_parts(found):
             Terminal().print(part, soft_wrap=True)
-        if json is not None:
-            print(f"written: {json}")
+        if output is not None:
+            print(f"written: {output}")
     return 0 if found.healthy else 1
 
 

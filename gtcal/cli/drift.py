@@ -19,6 +19,7 @@ def drift(
     max_rmse_px: float = 0.5,
     max_rmse_mm: float = 1.0,
     confidence: float = 0.95,
+    json: bool = False,
     quiet: Annotated[bool, tyro.conf.arg(aliases=["-q"])] = False,
 ) -> int:
     """Verify a calibration with successive recordings of the Lollypop: when did it cease to hold, and is it on its way?
@@ -39,16 +40,18 @@ def drift(
         max_rmse_px: Tolerance on e_2D, as of 'gtcal verify'.
         max_rmse_mm: Tolerance on e_3D.
         confidence: Of the bounds.
+        json: Print the result as JSON in place of tables ('gtcal schema drift').
         quiet: Show no progress and print nothing; the exit code tells.
     """
     import time
 
+    from gtcal.cli.json_output import print_json
     from gtcal.cli.progress import shown_progress
     from gtcal.cli.verification_tables import print_drift
     from gtcal.files import check_outputs, fingerprint
     from gtcal.results.calibration_file import read_calibration
     from gtcal.results.provenance import provenance
-    from gtcal.verification.drift import verify_series, write_drift_csv, write_drift_json
+    from gtcal.verification.drift import drift_document, verify_series, write_drift_csv, write_drift_json
     from gtcal.verification.drift_figure import draw_drift
     from gtcal.verification.lollypop_recording import load_lollypop_recording
     from gtcal.verification.verification import VerificationOptions
@@ -65,12 +68,15 @@ def drift(
     with shown_progress(quiet) as progress:
         found = verify_series(loaded, calibrated, options, progress=progress, inputs=(own,))
     inputs = (own, *(entry for _, recording in loaded for entry in recording.inputs))
-    write_drift_json(output, found, provenance(options, inputs, time.perf_counter() - started))
+    made = provenance(options, inputs, time.perf_counter() - started)
+    write_drift_json(output, found, made)
     if csv is not None:
         write_drift_csv(csv, found)
     if figure is not None:
         draw_drift(figure, found)
-    if not quiet:
+    if json:
+        print_json(drift_document(found, made))
+    elif not quiet:
         print_drift(found)
         print("written: " + ", ".join(str(path) for path in (output, csv, figure) if path is not None))
     return found.verdict.exit_code

@@ -39,7 +39,10 @@ def print_plans(plans: Sequence[Plan], *, verbose: bool = False) -> None:
 def plan_document(plans: Sequence[Plan]) -> dict[str, Any]:
     """For --json."""
     return {
-        "jobs": [{"rig": p.job.rig, "name": p.job.name, "kind": p.job.kind, "runs": p.run, "why": p.why} for p in plans]
+        "gtcal_batch_plan": 1,
+        "jobs": [
+            {"rig": p.job.rig, "name": p.job.name, "kind": p.job.kind, "runs": p.run, "why": p.why} for p in plans
+        ],
     }
 
 
@@ -98,6 +101,7 @@ def batch_document(store: Store, batch: Batch) -> dict[str, Any]:
     """For --json."""
     there = [plan.done for plan in batch.unchanged if plan.done is not None]
     return {
+        "gtcal_batch": 1,
         "store": str(store.path),
         "jobs": [
             *(_record_document(store, record, ran=False) for record in there),

@@ -76,9 +76,9 @@ def history(
     table = None if to is None else output or Path(f"history.{to}")
     check_outputs((figure, table), (opened.index_path,))
     if rebuild:
-        with opened.locked(), shown_progress(quiet or json) as progress:
+        with opened.locked(), shown_progress(quiet) as progress:
             disagreed = made_anew(opened, progress=progress)
-        if not quiet and not json:
+        if not quiet:
             _say(disagreed)
     found = histories(opened, run_length=run_length)
     if rig is not None and rig not in found:
@@ -94,7 +94,7 @@ def history(
     if table is not None:
         _write_table(table, shown, to == "parquet")
     if json:
-        print_json("history", history_document(shown, run_length))
+        print_json(history_document(shown, run_length))
     elif not quiet:
         if rig is None:
             print_fleet(shown)

@@ -141,7 +141,7 @@ def _move(event: Event, camera: str) -> str:
 
 def history_document(histories: Sequence[History], run_length: float) -> dict[str, Any]:
     """For --json."""
-    return {"run_length": run_length, "rigs": [_rig_document(history) for history in histories]}
+    return {"gtcal_history": 1, "run_length": run_length, "rigs": [_rig_document(history) for history in histories]}
 
 
 def _rig_document(history: History) -> dict[str, Any]:

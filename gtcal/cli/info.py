@@ -21,6 +21,7 @@ def info(
     live: bool = False,
     enough_mm: float = 0.2,
     enough_deg: float = 0.02,
+    json: bool = False,
     quiet: Annotated[bool, tyro.conf.arg(aliases=["-q"])] = False,
 ) -> None:
     """Show what is in a recording, a mocap export, a calibration.json or a verification.json, at a glance.
@@ -40,6 +41,8 @@ def info(
             looked at.
         enough_mm: With --live, the 1-sigma of a camera's place that is enough.
         enough_deg: With --live, that of its attitude.
+        json: Print it as JSON in place of tables ('gtcal schema summary'; of a mocap export 'mocap-file', of results
+            'calibration' or 'verification').
         quiet: Print nothing.
     """
     from gtcal.cli.progress import shown_progress
@@ -49,23 +52,23 @@ def info(
     from gtcal.readers import detect_mocap_format
 
     if live:
-        if figure is not None or detect or quiet:
-            raise GtcalError("--live prints what it sees and goes without --figure, --detect and --quiet")
+        if figure is not None or detect or json or quiet:
+            raise GtcalError("--live prints what it sees and goes without --figure, --detect, --json and --quiet")
         _live(path, enough_mm, enough_deg)
         return
     check_outputs([figure], [path])
     if detect_mocap_format(path) is not None:
-        _mocap_file(path, figure, quiet)
+        _mocap_file(path, figure, json, quiet)
         return
     kind = kind_of(path)
     if kind is Kind.CALIBRATION:
-        _calibration(path, figure, quiet)
+        _calibration(path, figure, json, quiet)
     elif kind is Kind.VERIFICATION:
-        _verification(path, figure, quiet)
+        _verification(path, figure, json, quiet)
     else:
         with shown_progress(quiet) as progress:
             recording = _loaded(path, kind is Kind.LOLLYPOP_RECORDING, detect, progress)
-        _recording(recording, figure, quiet)
+        _recording(recording, figure, json, quiet)
     if figure is not None and not quiet:
         print(f"written: {figure}")
 
@@ -87,15 +90,18 @@ def _live(path: Path, enough_mm: float, enough_deg: float) -> None:
             shown.update(look_shown(look), refresh=True)
 
 
-def _mocap_file(path: Path, figure: Path | None, quiet: bool) -> None:
-    from gtcal.cli.info_tables import print_mocap_file
+def _mocap_file(path: Path, figure: Path | None, json: bool, quiet: bool) -> None:
+    from gtcal.cli.info_tables import mocap_file_document, print_mocap_file
+    from gtcal.cli.json_output import print_json
     from gtcal.errors import GtcalError
     from gtcal.readers import inspect_mocap
 
     if figure is not None:
         raise GtcalError(f"{path}: is a file of mocap data, of which there is no picture; leave out --figure")
     summary = inspect_mocap(path)
-    if not quiet:
+    if json:
+        print_json(mocap_file_document(summary))
+    elif not quiet:
         print_mocap_file(summary)
 
 
@@ -111,8 +117,9 @@ def _loaded(path: Path, lollypop: bool, detect: bool, progress: Progress) -> Rec
     return detected(recording, progress=progress) if detect else recording
 
 
-def _recording(recording: Recording | LollypopRecording, figure: Path | None, quiet: bool) -> None:
-    from gtcal.cli.info_tables import print_summary
+def _recording(recording: Recording | LollypopRecording, figure: Path | None, json: bool, quiet: bool) -> None:
+    from gtcal.cli.info_tables import print_summary, summary_document
+    from gtcal.cli.json_output import print_json
     from gtcal.files import check_outputs
     from gtcal.overview.summary import summarise
 
@@ -122,35 +129,43 @@ def _recording(recording: Recording | LollypopRecording, figure: Path | None, qu
         from gtcal.overview.summary_figure import draw_recording
 
         draw_recording(figure, summary)
-    if not quiet:
+    if json:
+        print_json(summary_document(summary))
+    elif not quiet:
         print_summary(summary)
 
 
-def _calibration(path: Path, figure: Path | None, quiet: bool) -> None:
+def _calibration(path: Path, figure: Path | None, json: bool, quiet: bool) -> None:
     from gtcal.cli.info_tables import print_provenance
+    from gtcal.cli.json_output import print_json
     from gtcal.cli.tables import print_calibration
-    from gtcal.results.calibration_file import read_calibration
+    from gtcal.results.calibration_file import calibration_document, read_calibration
 
     calibration = read_calibration(path)
     if figure is not None:
         from gtcal.overview.result_figures import draw_calibration
 
         draw_calibration(figure, calibration)
-    if not quiet:
+    if json:
+        print_json(calibration_document(calibration))
+    elif not quiet:
         print_calibration(calibration, verbose=True)
         print_provenance(calibration.provenance)
 
 
-def _verification(path: Path, figure: Path | None, quiet: bool) -> None:
+def _verification(path: Path, figure: Path | None, json: bool, quiet: bool) -> None:
     from gtcal.cli.info_tables import print_provenance
+    from gtcal.cli.json_output import print_json
     from gtcal.cli.verification_tables import print_verification
-    from gtcal.verification.verification_file import read_verification
+    from gtcal.verification.verification_file import read_verification, verification_document
 
     verification = read_verification(path)
     if figure is not None:
         from gtcal.overview.result_figures import draw_verification
 
         draw_verification(figure, verification)
-    if not quiet:
+    if json:
+        print_json(verification_document(verification))
+    elif not quiet:
         print_verification(verification, verbose=True)
         print_provenance(verification.provenance)

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
+from typing import Any
+
 import numpy as np
 from rich.console import Group, RenderableType
 from rich.table import Table
@@ -26,6 +29,55 @@ def print_summary(summary: RecordingSummary) -> None:
     ]
     parts += [Text(f"note: {remark}", style="cyan") for remark in summary.remarks]
     Terminal().print(Group(*parts))
+
+
+def summary_document(summary: RecordingSummary) -> dict[str, Any]:
+    """The same for ``--json``."""
+    return {
+        "gtcal_summary": 1,
+        "what": summary.what,
+        "numbered": summary.numbered,
+        "cameras": {name: _camera_document(camera, summary) for name, camera in summary.cameras.items()},
+        "bodies": {
+            name: {
+                "n_poses": body.trajectory.n_samples,
+                "times": _span(body.times, summary),
+                "range_mm": body.range_mm.tolist(),
+                "largest_turn_deg": body.largest_turn_deg,
+            }
+            for name, body in summary.bodies.items()
+        },
+        "remarks": list(summary.remarks),
+    }
+
+
+def _camera_document(found: CameraSummary, summary: RecordingSummary) -> dict[str, Any]:
+    camera, detections = found.camera, found.detections
+    return {
+        "model": camera.model.name,
+        "image_size_px": [camera.image_width_px, camera.image_height_px],
+        "intrinsics_stated": camera.parameters is not None,
+        "source": found.source,
+        "n_images": found.n_images,
+        "times": _span(found.times, summary),
+        "share_with_pose": found.with_pose,
+        "n_views": None if detections is None else detections.n_views,
+        "n_corners": None if detections is None else detections.n_corners,
+        "covered": None if found.coverage is None else found.coverage.share,
+    }
+
+
+def _span(times: Times, summary: RecordingSummary) -> dict[str, Any]:
+    ends = times.stamps_ns[[0, -1]]
+    first, last = numbers_of(ends) if summary.numbered else (ends - summary.start_ns) * 1e-9
+    return {
+        "rate_hz": None if summary.numbered else times.rate_hz,
+        "first": float(first),
+        "last": float(last),
+        "n_gaps": 0 if summary.numbered else len(times.gaps_s),
+        "longest_gap_s": None if summary.numbered or not len(times.gaps_s) else float(times.gaps_s.max()),
+        "n_lost": 0 if summary.numbered else times.n_lost,
+    }
 
 
 def print_provenance(provenance: Provenance) -> None:
@@ -118,6 +170,11 @@ def print_mocap_file(summary: MocapSummary) -> None:
         parts.append(Text(f"the manifest has to state: {', '.join(summary.open_fields)}"))
     parts += [Text(f"note: {note}", style="cyan") for note in summary.notes]
     Terminal().print(Group(*parts))
+
+
+def mocap_file_document(summary: MocapSummary) -> dict[str, Any]:
+    """The same for ``--json``."""
+    return {"gtcal_mocap_file": 1, **asdict(summary), "path": str(summary.path)}
 
 
 def _no_bodies(summary: MocapSummary) -> Text:

@@ -13,6 +13,7 @@ def init(
     *,
     output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None,
     force: bool = False,
+    json: bool = False,
     quiet: Annotated[bool, tyro.conf.arg(aliases=["-q"])] = False,
 ) -> None:
     """Look at a folder and draft the manifest of a recording: what was found and why it was taken, and a question where
@@ -27,8 +28,10 @@ def init(
         folder: The folder to look at.
         output: The manifest to write; by default recording.yaml in the folder.
         force: Replace a manifest that is there.
+        json: Print what was found as JSON in place of words ('gtcal schema draft').
         quiet: Print nothing.
     """
+    from gtcal.cli.json_output import print_json
     from gtcal.documents import read_text
     from gtcal.errors import GtcalError
     from gtcal.files import check_outputs, write_text
@@ -46,7 +49,12 @@ def init(
     found = survey(folder)
     drafted = draft(found, manifest)
     write_text(manifest, drafted.text)
-    if not quiet:
+    if json:
+        left = list(found.left)
+        print_json(
+            {"gtcal_draft": 1, "manifest": str(manifest), "questions": list(drafted.questions), "left_aside": left}
+        )
+    elif not quiet:
         _print(manifest, drafted.questions, found.left)
 
 

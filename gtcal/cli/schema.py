@@ -3,48 +3,60 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import tyro
 
 
 def schema(
-    of: Annotated[
-        tyro.conf.Positional[Literal["recording", "jobs", "batch", "batch-plan", "history", "watch"]],
-        tyro.conf.arg(metavar="[OF]"),
-    ] = "recording",
+    name: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="[NAME]")] = "recording",
     *,
+    list_: Annotated[bool, tyro.conf.arg(name="list")] = False,
     lollypop: bool = False,
     output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None,
 ) -> None:
-    """Print the JSON schema of a recording's manifest, for editors that complete and check as you type; or of a file of
-    jobs, or of what a command prints with --json.
+    """Print the JSON schema of a recording's manifest, for editors that complete and check as you type; or of anything
+    else that gtcal reads or prints as JSON: every command that shows a table prints JSON in its place with --json.
+
+        gtcal schema --list
+        gtcal schema calibration -o calibration.schema.json
+
+    Each document says its own kind and version in its first field, as "gtcal_calibration": 1. Fields may come with a
+    version; what one means changes with the version only.
 
     Args:
-        of: recording: a recording's manifest. jobs: a file of jobs for 'gtcal batch'. batch, batch-plan, history,
-            watch: what 'gtcal batch --json' (with --dry-run: batch-plan), 'gtcal history --json' and 'gtcal watch'
-            print.
-        lollypop: That of a recording of the Lollypop, with 'device' and 'device_body'.
+        name: Which; by default that of a recording's manifest.
+        list_: List the names, what each is, and which commands print it.
+        lollypop: Short for lollypop-recording: the manifest of a recording of the Lollypop, with 'device' and
+            'device_body'.
         output: File to write in place of printing.
     """
     import json
 
+    from gtcal.cli.json_schemas import NAMES, schema_of
     from gtcal.errors import GtcalError
     from gtcal.files import check_outputs, write_text
-    from gtcal.recordings.manifest import manifest_schema
-    from gtcal.verification.lollypop_recording import lollypop_manifest_schema
 
-    if lollypop and of != "recording":
-        raise GtcalError(f"--lollypop is of a recording's manifest, not of {of}")
+    if lollypop and name != "recording":
+        raise GtcalError(f"--lollypop is of a recording's manifest, not of {name}")
+    if name not in NAMES:
+        raise GtcalError(f"there is no schema {name!r}; schemas: {', '.join(NAMES)}")
     check_outputs([output])
-    if of == "recording":
-        found = lollypop_manifest_schema() if lollypop else manifest_schema()
-    else:
-        from gtcal.cli.json_schemas import schema_of
-
-        found = schema_of(of)
-    text = json.dumps(found, indent=2)
+    if list_:
+        _list()
+        return
+    text = json.dumps(schema_of("lollypop-recording" if lollypop else name), indent=2)
     if output is None:
         print(text)
     else:
         write_text(output, text + "\n")
+
+
+def _list() -> None:
+    from gtcal.cli.json_schemas import NAMES, PRINTED_BY, schema_of
+
+    width = max(map(len, NAMES))
+    for name in NAMES:
+        by = ", ".join(f"gtcal {command}" for command, names in PRINTED_BY.items() if name in names)
+        what = str(schema_of(name)["description"]).split("\n")[0]
+        print(f"{name:{width}}  {what}" + (f"  [{by}]" if by else ""))

@@ -24,6 +24,7 @@ def selfcheck(
     mocap_noise: Literal["estimate", "exact"] = "estimate",
     clock: Literal["trust", "estimate", "per_camera"] = "trust",
     seed: int = 0,
+    json: bool = False,
     quiet: Annotated[bool, tyro.conf.arg(aliases=["-q"])] = False,
 ) -> None:
     """Check a calibration against its own recording: halves of it, frames held out, and each image by itself.
@@ -45,16 +46,18 @@ def selfcheck(
         mocap_noise: As for 'gtcal calibrate'.
         clock: 'estimate' or 'per_camera': correct the clocks' offset first, as 'gtcal calibrate' does.
         seed: Of the random starting rotations of stage 1.
+        json: Print the result as JSON in place of tables ('gtcal schema selfcheck').
         quiet: Show no progress and print nothing.
     """
     from gtcal.cli.calibrate import intrinsics_mode
+    from gtcal.cli.json_output import print_json
     from gtcal.cli.progress import shown_progress
     from gtcal.cli.terminal import Terminal
     from gtcal.estimation.options import CalibrationOptions
     from gtcal.files import check_outputs
     from gtcal.recordings.recording import load_recording
     from gtcal.selfchecks.selfcheck import selfcheck as run
-    from gtcal.selfchecks.selfcheck_file import write_selfcheck
+    from gtcal.selfchecks.selfcheck_file import selfcheck_document, write_selfcheck
 
     mode = intrinsics_mode("auto", calibrate=calibrate_intrinsics, refine=refine_intrinsics)
     options = CalibrationOptions(intrinsics=mode, mocap=mocap_noise, clock=clock, seed=seed)
@@ -64,7 +67,9 @@ def selfcheck(
         found = run(loaded, options, n_folds=folds, progress=progress)
     if output is not None:
         write_selfcheck(output, found)
-    if quiet:
+    if json:
+        print_json(selfcheck_document(found))
+    if json or quiet:
         return
     console = Terminal()
     for table in selfcheck_tables(found):

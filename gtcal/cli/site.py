@@ -15,11 +15,12 @@ def site(
     run_length: float = 1000.0,
     quiet: Annotated[bool, tyro.conf.arg(aliases=["-q"])] = False,
 ) -> None:
-    """Write a static web site of a store: a page of the fleet, one of each rig, and the reports that there are.
+    """Write a static web site of a store: a page of the fleet, one of each rig, and one of each recording.
 
     Open OUT/index.html, from the disk or a file share: no server, no network. The fleet's page has a row per rig, those
     that need somebody first, to be sorted and filtered; a rig's page its charts, its calibrations side by side, and its
-    verifications, each linked to its report where 'gtcal batch --reports' wrote one. Run it again to renew it.
+    verifications, each linked to its page: the report where 'gtcal batch --reports' wrote one, else what the store has
+    of it. Run it again to renew it.
 
     Args:
         out: Folder to write; new, empty, or of an earlier site.

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from rich.console import Group, RenderableType
@@ -258,6 +259,20 @@ def detection_table(recording: Recording) -> Table:
     return table
 
 
+def detection_document(recording: Recording) -> dict[str, Any]:
+    """The same for ``--json``."""
+    cameras = {
+        name: {
+            "n_images": len(recording.images[name]) if name in recording.images else None,
+            "n_views": found.n_views,
+            "n_corners": found.n_corners,
+            "median_corners_per_view": float(np.median(np.diff(found.view_start))) if found.n_views else 0.0,
+        }
+        for name, found in recording.detections.items()
+    }
+    return {"gtcal_detection": 1, "corners_of_board": recording.board.n_corners, "cameras": cameras}
+
+
 def vector(components: FloatArray) -> str:
     """As people read it."""
     return ", ".join(f"{component:.2f}" for component in components)
@@ -276,13 +291,14 @@ def print_errors(calibration: Calibration, truth: GroundTruth) -> None:
     table = new_table("difference from the truth")
     for heading in ("position, mm", "rotation, deg"):
         table.add_column(heading, justify="right")
-    for name, camera in calibration.cameras.items():
-        found, true = inverse(camera.camera_T_ref.a_T_b), inverse(truth.camera_T_ref[name])
-        table.add_row(name, *_difference(found, true))
-    table.add_row("board", *_difference(calibration.body_T_board.a_T_b, truth.body_T_board))
+    for what, position_mm, rotation_deg in errors(calibration, truth):
+        table.add_row(what, f"{position_mm:.3f}", f"{rotation_deg:.4f}")
     Terminal().print(table)
 
 
-def _difference(found: FloatArray, true: FloatArray) -> tuple[str, str]:
-    position_mm, rotation_deg = pose_difference(found, true)
-    return f"{position_mm:.3f}", f"{rotation_deg:.4f}"
+def errors(calibration: Calibration, truth: GroundTruth) -> Iterator[tuple[str, float, float]]:
+    """Of each camera and the board how far they are from the truth, in mm and deg."""
+    for name, camera in calibration.cameras.items():
+        found, true = inverse(camera.camera_T_ref.a_T_b), inverse(truth.camera_T_ref[name])
+        yield name, *pose_difference(found, true)
+    yield "board", *pose_difference(calibration.body_T_board.a_T_b, truth.body_T_board)

@@ -18,6 +18,7 @@ def uncertainty(
     *,
     distances_m: tuple[float, ...] = (0.5, 1.0, 2.0),
     output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None,
+    json: bool = False,
 ) -> None:
     """Say how sure a calibration is: its 1-sigma by each kind of covariance, over each image, and where it is weak.
 
@@ -30,9 +31,11 @@ def uncertainty(
         calibration: File that 'gtcal calibrate' wrote.
         distances_m: Distances from the camera at which its image is looked at.
         output: JSON file to write with all of it.
+        json: Print the result as JSON in place of tables ('gtcal schema uncertainty').
     """
-    import json
+    from json import dumps
 
+    from gtcal.cli.json_output import print_json
     from gtcal.cli.terminal import Terminal
     from gtcal.errors import GtcalError
     from gtcal.files import check_outputs, write_text
@@ -48,21 +51,25 @@ def uncertainty(
     rows = sigma_rows(found)
     images = _images(found, distances_m)
     directions = least_sure(found)
+    document = {
+        "gtcal_uncertainty": 1,
+        "calibration": str(calibration),
+        "covariance_kind": found.covariance_kind,
+        "largest_sigma": {row.name: dict(zip(kinds, row.cells, strict=True)) for row in rows},
+        "images": images,
+        "least_sure": [{"grade": str(d.grade), "sentence": d.sentence} for d in directions],
+    }
+    if output is not None:
+        write_text(output, dumps(document, indent=1, allow_nan=False) + "\n")
+    if json:
+        print_json(document)
+        return
     console = Terminal()
     console.print(_sigma_table(kinds, found.covariance_kind, [(row.name, row.cells) for row in rows]))
     console.print(_image_table(images))
     for line in (*noise_lines(found.mocap_noise), "Weakest directions:", *(f"- {d.sentence}" for d in directions)):
         console.print(line, highlight=False, soft_wrap=True)
     if output is not None:
-        document = {
-            "gtcal_uncertainty": 1,
-            "calibration": str(calibration),
-            "covariance_kind": found.covariance_kind,
-            "largest_sigma": {row.name: dict(zip(kinds, row.cells, strict=True)) for row in rows},
-            "images": images,
-            "least_sure": [{"grade": str(d.grade), "sentence": d.sentence} for d in directions],
-        }
-        write_text(output, json.dumps(document, indent=1, allow_nan=False) + "\n")
         console.print(f"written: {output}", highlight=False)
 
 

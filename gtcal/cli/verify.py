@@ -20,12 +20,14 @@ def verify(
     report: Path | None = None,
     sightings: Path | None = None,
     clock: Literal["calibration", "estimate", "trust"] = "calibration",
+    images: Literal["all", "expected"] = "all",
     max_rmse_px: float = 0.5,
     max_rmse_mm: float = 1.0,
     confidence: float = 0.95,
     max_viewing_angle_deg: float = 60.0,
     min_sightings: int = 50,
     min_coverage: float = 0.2,
+    json: bool = False,
     verbose: Annotated[bool, tyro.conf.arg(aliases=["-v"])] = False,
     quiet: Annotated[bool, tyro.conf.arg(aliases=["-q"])] = False,
 ) -> int:
@@ -54,6 +56,9 @@ def verify(
             too. 'estimate': for clocks whose offset is another in every recording: it is found from the sightings, a
             single number from hundreds of them, and applied before anything is judged. 'trust': take the stamps as
             they are.
+        images: Of cameras that come as images: 'all': every image is searched for the device. 'expected': some ten a
+            second, where calibration and mocap say that it is seen, and near there: much faster, and as 'gtcal watch'
+            does; where it is not found there, whole images are searched.
         max_rmse_px: Tolerance on the distance of image centre and mocap centre in the image (e_2D, RMSE).
         max_rmse_mm: Tolerance on the same, carried out to the device's depth (e_3D, RMSE).
         confidence: Of the bounds on the RMSE that decide. A tolerance is kept where the upper bound lies below it, and
@@ -61,20 +66,23 @@ def verify(
         max_viewing_angle_deg: Leave out frames that see the device more obliquely than this.
         min_sightings: A camera with fewer is inconclusive.
         min_coverage: A camera that was shown the device in a smaller share of its image is inconclusive.
+        json: Print the result as JSON in place of tables ('gtcal schema verification').
         verbose: Print also what was left out and why.
         quiet: Show no progress and print nothing; the exit code tells.
     """
+    from gtcal.cli.json_output import print_json
     from gtcal.cli.progress import shown_progress
     from gtcal.cli.verification_tables import print_verification
     from gtcal.files import check_outputs, fingerprint
     from gtcal.results.calibration_file import read_calibration
     from gtcal.verification.lollypop_recording import load_lollypop_recording
     from gtcal.verification.verification import VerificationOptions
-    from gtcal.verification.verification_file import write_sightings, write_verification
+    from gtcal.verification.verification_file import verification_document, write_sightings, write_verification
     from gtcal.verification.workflow import verify as run
 
     options = VerificationOptions(
         clock=clock,
+        images=images,
         max_rmse_px=max_rmse_px,
         max_rmse_mm=max_rmse_mm,
         confidence=confidence,
@@ -92,7 +100,9 @@ def verify(
     write_verification(output, found)
     if sightings is not None:
         write_sightings(sightings, found)
-    if not quiet:
+    if json:
+        print_json(verification_document(found))
+    elif not quiet:
         print_verification(found, notes=loaded.notes, verbose=verbose)
         print("written: " + ", ".join(str(path) for path in (output, report, sightings) if path is not None))
     return found.verdict.exit_code

@@ -22,6 +22,7 @@ def watch(
     count: int | None = None,
     once: bool = False,
     taken_from: Literal["stamps", "name"] = "stamps",
+    images: Literal["all", "expected"] = "expected",
     max_rmse_px: float = 0.5,
     max_rmse_mm: float = 1.0,
     quiet: Annotated[bool, tyro.conf.arg(aliases=["-q"])] = False,
@@ -46,6 +47,8 @@ def watch(
         count: End after so many recordings.
         once: End after the recordings that are there.
         taken_from: As of 'gtcal batch'.
+        images: Of cameras that come as images, as of 'gtcal verify': 'expected' is soon enough for an operator who
+            waits; 'all' may take a minute or more.
         max_rmse_px: Tolerance on e_2D, as of 'gtcal verify'.
         max_rmse_mm: Tolerance on e_3D.
         quiet: Print nothing but the lines of JSON.
@@ -57,21 +60,21 @@ def watch(
     from gtcal.errors import GtcalError
     from gtcal.files import check_outputs
     from gtcal.fleet.store import Store
-    from gtcal.fleet.watch import Station
+    from gtcal.fleet.watch import Station, warm_up
     from gtcal.fleet.watch_page import verdict, waiting, write_page
-    from gtcal.verification import workflow  # noqa: F401  # before the first recording, not after it
     from gtcal.verification.verification import VerificationOptions
 
     if not folder.is_dir():
         raise GtcalError(f"{folder}: is no folder; give the one in which recordings appear")
     if not settle_s > 0.0 or (count is not None and count < 1):
         raise GtcalError("--settle-s and --count are above 0")
-    options = VerificationOptions(max_rmse_px=max_rmse_px, max_rmse_mm=max_rmse_mm)
+    options = VerificationOptions(images=images, max_rmse_px=max_rmse_px, max_rmse_mm=max_rmse_mm)
     opened = Store.made(store)
     shown_at = page or store / "watch.html"
     check_outputs([shown_at], [] if calibration is None else [calibration])
     command_line = (Path(sys.argv[0]).name, *sys.argv[1:])
     station = Station(folder, opened, options, command_line, rig, calibration, taken_from, settle_s)
+    warm_up()
     write_page(shown_at, waiting(folder))
     if not quiet:
         print(f"watching {folder}; open {shown_at}", file=sys.stderr)
@@ -90,12 +93,11 @@ def watch(
 
 
 def _document(seen: Seen) -> dict[str, Any]:
-    from gtcal.cli.json_output import SCHEMA_VERSION
     from gtcal.fleet.jobs import utc
 
     record = seen.record
     return {
-        "gtcal_watch": SCHEMA_VERSION,
+        "gtcal_watch": 1,
         "rig": record.rig,
         "name": record.name,
         "verdict": record.verdict or None,

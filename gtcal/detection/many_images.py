@@ -4,7 +4,8 @@ Threads share Python's lock, of which each image needs a fifth of its time: from
 way. Processes are not, but take a second or two of each core before the first image. What is found is the same.
 
 Images that can be pickled, as files are, are read by the process that looks at them. The others, videos, are read in
-their order by one thread here and handed on.
+their order by one thread here and handed on. Inside ``looked_at_by`` many images are handed to others altogether, as a
+cluster's workers.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, as_completed, wait
 from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -53,7 +55,7 @@ class Looking:
 
     def __call__(self, image: GreyImage, predicted: PredictedBoard | None = None) -> SeenBoard:
         if isinstance(self.board, Lollypop):
-            return see_lollypop(image, self.board, self.camera)
+            return see_lollypop(image, self.board, self.camera, predicted)
         return see_board(image, self.board, self.camera, predicted)
 
 
@@ -74,7 +76,10 @@ def look_at(
     Raises GtcalError where an image is of another size than expected, or a process dies."""
     jobs = jobs or n_cores()
     tasks = [(index, (predicted or {}).get(index)) for index in indices]
-    if jobs == 1 or max(len(tasks), of_all or 0) < WORTH_PROCESSES:
+    many, others = max(len(tasks), of_all or 0) >= WORTH_PROCESSES, _others.get()
+    if many and others is not None:
+        return others(images, tasks, looking)
+    if jobs == 1 or not many:
         return _in_threads(images, tasks, looking, jobs)
     if _travels(images):
         return _by_files(images, tasks, looking, jobs)
@@ -83,6 +88,26 @@ def look_at(
 
 Task = tuple[int, PredictedBoard | None]
 Tasks = Sequence[Task]
+
+Others = Callable[[Images, Tasks, Looking], Iterator[tuple[int, Seen]]]
+"""Looks at images as ``look_at`` does."""
+
+_others: ContextVar[Others | None] = ContextVar("others", default=None)
+
+
+@contextmanager
+def looked_at_by(others: Others) -> Iterator[None]:
+    """Inside, and in this thread, images that are many are handed to ``others``."""
+    before = _others.set(others)
+    try:
+        yield
+    finally:
+        _others.reset(before)
+
+
+def look_at_each(images: Images, tasks: Tasks, looking: Looking) -> Iterator[tuple[int, Seen]]:
+    """One image after the other, in their order."""
+    return (_look(images, looking, task) for task in tasks)
 
 
 def _in_threads(images: Images, tasks: Tasks, looking: Looking, jobs: int) -> Iterator[tuple[int, Seen]]:

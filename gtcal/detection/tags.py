@@ -56,6 +56,10 @@ class FoundTags:
     def take(self, rows: BoolArray | IntArray) -> FoundTags:
         return FoundTags(self.tags[rows], self.corners_px[rows])
 
+    def shifted(self, x_px: int, y_px: int) -> FoundTags:
+        """As in the image of which this one was a part that begins there."""
+        return FoundTags(self.tags, self.corners_px + np.array([x_px, y_px]))
+
 
 def find_tags(image: GreyImage, board: TaggedBoard) -> tuple[FoundTags, int]:
     """The tags of the board that OpenCV reads in an image and that agree with one another (``agreeing_tags``), and

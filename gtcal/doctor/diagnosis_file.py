@@ -19,7 +19,7 @@ def write_diagnosis(path: Path | str, found: Diagnosis) -> None:
 
 
 def diagnosis_document(found: Diagnosis) -> dict[str, Any]:
-    """As it stands in its file."""
+    """As it stands in doctor.json."""
     return {
         "gtcal_diagnosis": SCHEMA_VERSION,
         "healthy": found.healthy,

@@ -66,14 +66,15 @@ def self_starting_scores(values: FloatArray) -> FloatArray:
     """(N,) of values (N,): how far each is from those before it, as a standard normal number; 0 for the first two, and
     where those before are all alike. What was beyond 3 is no longer held up as what is normal: else a bump would hide
     itself."""
-    scores, normal = np.zeros(len(values)), list(values[:2])
-    for place in range(2, len(values)):
-        n, scatter = len(normal), float(np.std(normal, ddof=1))
-        if scatter > 0.0:
-            t = math.sqrt(n / (n + 1)) * (values[place] - np.mean(normal)) / scatter
-            scores[place] = _normal(float(t), n - 1)
+    scores, n, mean, squares = np.zeros(len(values)), 0, 0.0, 0.0  # squares: of the distances from the mean, summed
+    for place, value in enumerate(values.tolist()):
+        if squares > 0.0:  # of two or more
+            t = math.sqrt(n / (n + 1)) * (value - mean) / math.sqrt(squares / (n - 1))
+            scores[place] = _normal(t, n - 1)
         if abs(scores[place]) <= _NORMAL:
-            normal.append(values[place])
+            n, before = n + 1, mean
+            mean += (value - mean) / n
+            squares += (value - before) * (value - mean)  # Welford's
     return scores
 
 

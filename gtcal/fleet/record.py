@@ -4,7 +4,7 @@ the index has."""
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, Literal
 
@@ -121,10 +121,10 @@ def read_contents(record: Record, folder: Path) -> Contents:
 
 def record_text(record: Record) -> str:
     """The record as a file holds it: without the signatures, which are of this machine."""
-    plain = replace(record, inputs=tuple(replace(entry, signature="") for entry in record.inputs))
-    document = {"gtcal_record": SCHEMA_VERSION, **asdict(plain)}
+    document = {"gtcal_record": SCHEMA_VERSION, **vars(record)}
     document["inputs"] = [{"path": entry.path, "sha256": entry.sha256} for entry in record.inputs]
-    return json.dumps(document, indent=1, allow_nan=False) + "\n"
+    lines = (f" {json.dumps(name)}: {json.dumps(value, allow_nan=False)}" for name, value in document.items())
+    return "{\n" + ",\n".join(lines) + "\n}\n"
 
 
 def read_record(path: Path) -> Record:

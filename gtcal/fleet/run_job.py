@@ -35,6 +35,10 @@ from gtcal.fleet.record import (
 REPORT = "report.html"
 
 
+class LostWorkersError(Exception):
+    """Those with whom a job was shared were killed, by the system or for the memory that it took."""
+
+
 @dataclass(frozen=True)
 class Accepted:
     """A calibration that a rig is used with from ``taken_ns`` on."""
@@ -93,7 +97,7 @@ def run_task(task: Task) -> Outcome:
         made = _made(task, used)
     except GtcalError as error:
         return Outcome(_record(task, key, began, time.perf_counter() - started, inputs, used, error=str(error)))
-    except MemoryError:
+    except (MemoryError, LostWorkersError):
         raise
     except Exception as error:  # a bug, but of this recording only
         where = traceback.extract_tb(error.__traceback__)[-1]

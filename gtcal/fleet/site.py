@@ -1,10 +1,11 @@
-"""A static site of a store: a page of the fleet, a page of each rig, and the reports that there are. No server, no
-network; works from a file share."""
+"""A static site of a store: a page of the fleet, a page of each rig, and a page of each recording: its report where
+there is one. No server, no network; works from a file share."""
 
 from __future__ import annotations
 
 import math
 import shutil
+import sqlite3
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.resources import files
@@ -16,10 +17,12 @@ from markupsafe import Markup
 
 from gtcal.errors import GtcalError
 from gtcal.files import staged
+from gtcal.fleet import index
 from gtcal.fleet.history import Event, History, histories
 from gtcal.fleet.history_figure import history_pictures
 from gtcal.fleet.jobs import utc
 from gtcal.fleet.measures import BOARD, RIG
+from gtcal.fleet.recording_page import recording_page
 from gtcal.fleet.run_job import REPORT
 from gtcal.fleet.store import Store
 from gtcal.pages import page_environment
@@ -46,14 +49,14 @@ class RigRow:
 
 @dataclass(frozen=True)
 class EventRow:
-    """A recording on its rig's page. cells: by camera."""
+    """A recording on its rig's page. cells: by camera. page: of the recording, from there."""
 
     event: Event
     taken: str
     kind: str
     sign: str
     cells: tuple[str, ...]
-    report: str
+    page: str
     accepted: bool = False
 
 
@@ -65,7 +68,7 @@ def write_site(path: Path, store: Store, *, run_length: float, progress: Progres
         raise GtcalError(f"{path}: is there already, and is no site of gtcal's; choose another folder")
     found = list(histories(store, run_length=run_length).values())
     environment = _environment()
-    with staged(path) as aside:
+    with staged(path) as aside, index.opened_index(store.index_path) as connection:
         aside.mkdir()
         (aside / MARK).touch()
         rows = []
@@ -73,10 +76,35 @@ def write_site(path: Path, store: Store, *, run_length: float, progress: Progres
             progress("pages of rigs", done, len(found))
             page = f"rigs/{quote(history.rig, safe='')}.html"
             rows.append(_rig_row(history, page))
-            _write(aside / "rigs" / f"{history.rig}.html", _rig_page(environment, aside, store, history))
+            pages = _Pages(environment, aside, store, connection)
+            _write(aside / "rigs" / f"{history.rig}.html", _rig_page(pages, history))
         progress("pages of rigs", len(found), len(found))
         _write(aside / "index.html", _fleet_page(environment, rows, run_length))
     return len(found)
+
+
+@dataclass(frozen=True)
+class _Pages:
+    """Writes the recordings' pages."""
+
+    environment: Environment
+    aside: Path
+    store: Store
+    connection: sqlite3.Connection
+
+    def written(self, event: Event, kind: str, sign: str) -> str:
+        """Where the page of a recording is, from its rig's page: the report, or what the store has of it."""
+        record = event.record
+        target = Path("recordings", record.rig, f"{record.name}.{record.kind}.html")
+        report = self.store.folder_of(record) / REPORT
+        if report.is_file():
+            (self.aside / target).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(report, self.aside / target)
+        else:
+            full = index.current_of(self.connection, record.identity) or record
+            rig_page = f"../../rigs/{quote(record.rig, safe='')}.html"
+            _write(self.aside / target, recording_page(self.environment, event, full, kind, sign, rig_page))
+        return "../" + "/".join(quote(part, safe="") for part in target.parts)
 
 
 def _write(path: Path, text: str) -> None:
@@ -138,47 +166,36 @@ _ORDER = ("fails", "changed", "can't tell", "not verified", "holds")
 """What needs somebody first."""
 
 
-def _rig_page(environment: Environment, aside: Path, store: Store, history: History) -> str:
+def _rig_page(pages: _Pages, history: History) -> str:
     whats = (*history.cameras, BOARD)
-    return environment.get_template("rig.html.j2").render(
+    return pages.environment.get_template("rig.html.j2").render(
         history=history,
         kind=_KINDS.get(history.status, "open"),
         sign=_SIGNS.get(history.status, "?"),
         pictures=history_pictures(history) if history.events else [],
         verifications=[
-            _event_row(aside, store, history, event, [_error(event, camera) for camera in history.cameras])
+            _event_row(pages, history, event, [_error(event, camera) for camera in history.cameras])
             for event in reversed(history.verifications)
         ],
         calibrations=[
-            _event_row(aside, store, history, event, [_move(event, what) for what in whats])
+            _event_row(pages, history, event, [_move(event, what) for what in whats])
             for event in reversed(history.calibrations)
         ],
     )
 
 
-def _event_row(aside: Path, store: Store, history: History, event: Event, cells: list[str]) -> EventRow:
+def _event_row(pages: _Pages, history: History, event: Event, cells: list[str]) -> EventRow:
     record = event.record
+    kind, sign = _KINDS.get(record.verdict, "open"), _SIGNS.get(record.verdict, "?")
     return EventRow(
         event,
         f"{utc(event.taken_ns):%Y-%m-%d %H:%M}",
-        _KINDS.get(record.verdict, "open"),
-        _SIGNS.get(record.verdict, "?"),
+        kind,
+        sign,
         tuple(cells),
-        _copied_report(aside, store, event),
+        pages.written(event, kind, sign),
         history.accepted is not None and history.accepted.record == record,
     )
-
-
-def _copied_report(aside: Path, store: Store, event: Event) -> str:
-    """Where the report on a recording is, from a rig's page; empty where there is none."""
-    record = event.record
-    source = store.folder_of(record) / REPORT
-    if not source.is_file():
-        return ""
-    target = aside / "reports" / record.rig / f"{record.name}.{record.kind}.html"
-    target.parent.mkdir(parents=True, exist_ok=True)
-    shutil.copyfile(source, target)
-    return "../reports/" + "/".join(quote(part, safe="") for part in target.relative_to(aside / "reports").parts)
 
 
 def _error(event: Event, camera: str) -> str:

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from gtcal.errors import GtcalError
+from gtcal.files import sha256_of
 from gtcal.fleet import index
 from gtcal.fleet.batch import run_batch
 from gtcal.fleet.jobs import Job, taken_ns_in
@@ -22,6 +23,7 @@ from gtcal.recordings.manifest import load_fields
 from gtcal.verification.verification import VerificationOptions
 
 _WAIT_FOR_STORE_S = 30.0
+_AHEAD_S = 0.5
 
 Snapshot = tuple[tuple[str, int, int], ...]
 """Of a recording's folder: every file in it with its size and time, by name."""
@@ -52,18 +54,24 @@ class Station:
     calibration: Path | None = None
     taken_from: TakenFrom = "stamps"
     settle_s: float = 2.0
+    _coming: Snapshot = ()
     _growing: dict[Path, tuple[Snapshot, float]] = field(default_factory=dict)
     _settled: dict[Path, Snapshot] = field(default_factory=dict)
 
     def completed(self) -> Iterator[tuple[Path, float]]:
         """The manifests of recordings that have become complete, and for how long they have not grown, s; each once,
-        and again where its files have changed since."""
-        now = time.monotonic()
-        for manifest in recordings_in(self.folder):
+        and again where its files have changed since. What others have by now is fingerprinted meanwhile, which takes
+        longest of what can be done before they are complete."""
+        manifests = list(recordings_in(self.folder))
+        coming = tuple(file for path in _coming(self.folder, {m.parent for m in manifests}) for file in snapshot(path))
+        _fingerprint_ahead(self._coming, coming)
+        self._coming, now = coming, time.monotonic()
+        for manifest in manifests:
             seen = snapshot(manifest.parent)
             if self._settled.get(manifest) == seen:
                 continue
             before, since = self._growing.get(manifest, ((), now))
+            _fingerprint_ahead(before, seen)
             if before != seen:
                 self._growing[manifest] = seen, now
             elif now - since >= self.settle_s:
@@ -107,6 +115,15 @@ class Station:
         )
 
 
+def warm_up() -> None:
+    """Have done before a recording comes what takes a while at first use only: kernels are read, or compiled."""
+    from gtcal.simulation.lollypop import LollypopOptions, simulate_lollypop
+    from gtcal.verification.workflow import verify
+
+    simulation = simulate_lollypop(LollypopOptions(n_frames=60), seed=0)
+    verify(simulation.recording, simulation.true_calibration())
+
+
 def snapshot(folder: Path) -> Snapshot:
     """Of a folder, without what is hidden in it: what gtcal keeps beside a recording is no part of it."""
     found = []
@@ -120,6 +137,28 @@ def snapshot(folder: Path) -> Snapshot:
         if not path.is_dir():
             found.append((str(path), status.st_size, status.st_mtime_ns))
     return tuple(found)
+
+
+def _coming(folder: Path, recordings: set[Path]) -> Iterator[Path]:
+    """The folders below one that hold no recording yet, as those do whose manifest is written last."""
+    for path in sorted(folder.iterdir()):
+        if not path.is_dir() or path.name.startswith(".") or path in recordings:
+            continue
+        if any(recording.is_relative_to(path) for recording in recordings):
+            yield from _coming(path, recordings)
+        else:
+            yield path
+
+
+def _fingerprint_ahead(before: Snapshot, now: Snapshot) -> None:
+    """Of the files that have not changed between two looks, as long as that takes no time that is needed to look. What
+    was computed is remembered by ``sha256_of``."""
+    until = time.monotonic() + _AHEAD_S
+    for path, *_ in sorted(set(before) & set(now)):
+        if time.monotonic() > until:
+            return
+        with suppress(GtcalError):  # taken away in between, or what is told when it is verified
+            sha256_of(Path(path))
 
 
 def _is_lollypop(manifest: Path) -> bool:

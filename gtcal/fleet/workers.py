@@ -8,22 +8,27 @@ import queue
 import signal
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import CancelledError
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Protocol
 
 from gtcal.cores import n_cores, use_cores
 from gtcal.errors import GtcalError
-from gtcal.fleet.run_job import Outcome, Task, run_task
+from gtcal.fleet.run_job import LostWorkersError, Outcome, Task, run_task
+from gtcal.fleet.sharing import run_shared
 
 if TYPE_CHECKING:
     from distributed import Client
+
+_log = logging.getLogger("gtcal")
 
 RETRIES = 2
 """How often a task is handed out again after its worker was killed, or ran out of memory. Of killed workers Dask itself
 bears as many before it gives a task up, be it only that it shared one with a task that kills."""
 
 _COUNT_EVERY_S = 1.0
+_TOLD_AFTER_S = 5.0
 _NONE_LEFT_S = 120.0
 """So long a batch waits for processes of its own that ended to come back."""
 
@@ -85,9 +90,11 @@ class InThisProcess:
 class DaskWorkers:
     """The workers of a Dask cluster, one task each."""
 
-    def __init__(self, client: Client, do: DoTask = run_task, *, own: bool = False) -> None:
+    def __init__(self, client: Client, do: DoTask = run_shared, *, own: bool = False) -> None:
         """own: the cluster is this batch's, and nobody else adds workers to it."""
         self._client, self._do, self._own = client, do, own
+        self._where = "" if own else str(client.scheduler.address)
+        self._told_to_wait = False
         self._seen_s = time.monotonic()
         self._ended: queue.SimpleQueue[tuple[int, Task, Any]] = queue.SimpleQueue()
         self._futures: dict[int, Any] = {}
@@ -97,18 +104,33 @@ class DaskWorkers:
     @property
     def n(self) -> int:
         if time.monotonic() > self._counted_s + _COUNT_EVERY_S:  # a cluster grows and shrinks
-            there = len(self._client.scheduler_info(n_workers=-1)["workers"])
+            self._check_scheduler()
+            there = len(self._client.scheduler_info(n_workers=-1).get("workers", ()))
             self._n, self._counted_s = max(there, 1), time.monotonic()
             self._check_left(there)
         return self._n
 
+    def _check_scheduler(self) -> None:
+        if self._client.status in ("closing", "closed"):
+            raise self._lost_scheduler()
+
+    def _lost_scheduler(self) -> GtcalError:
+        return GtcalError(
+            f"the Dask scheduler {self._where} was lost; what was done is in the store: run it again to go on"
+        )
+
     def _check_left(self, there: int) -> None:
-        if there or not self._own:
-            self._seen_s = time.monotonic()
+        if there:
+            self._seen_s, self._told_to_wait = time.monotonic(), False
+        elif not self._own:
+            if time.monotonic() > self._seen_s + _TOLD_AFTER_S and not self._told_to_wait:
+                self._told_to_wait = True
+                _log.warning("the cluster at %s has no workers; waiting for them", self._where)
         elif time.monotonic() > self._seen_s + _NONE_LEFT_S:
             raise GtcalError("all processes of this batch ended, and none came back; run it again to go on")
 
     def submit(self, number: int, task: Task) -> None:
+        self._check_scheduler()
         future = self._client.submit(self._do, task, pure=False, retries=0)
         self._futures[number] = future  # one that nobody holds is cancelled
         future.add_done_callback(lambda ended: self._ended.put((number, task, ended)))
@@ -122,6 +144,8 @@ class DaskWorkers:
         self._futures.pop(number)
         try:
             return Finished(number, future.result())
+        except CancelledError:  # nobody but a lost scheduler cancels
+            raise self._lost_scheduler() from None
         except Exception as error:
             self._tries[number] = self._tries.get(number, 0) + 1
             if _may_end_well(error) and self._tries[number] <= RETRIES:
@@ -135,7 +159,7 @@ def _may_end_well(error: Exception) -> bool:
     it before or after."""
     from distributed import KilledWorker
 
-    return isinstance(error, MemoryError | KilledWorker)
+    return isinstance(error, MemoryError | KilledWorker | LostWorkersError)
 
 
 def _words(error: Exception) -> str:
@@ -143,26 +167,26 @@ def _words(error: Exception) -> str:
 
     if isinstance(error, MemoryError):
         return f"it ran out of memory, {RETRIES + 1} times"
-    if isinstance(error, KilledWorker):
+    if isinstance(error, KilledWorker | LostWorkersError):
         return "its workers were killed, by the system or for the memory that it took"
     return f"its worker failed: {type(error).__name__}: {error}"
 
 
 @contextmanager
 def dask_workers(
-    *, scheduler: str | None = None, jobs: int | None = None, do: DoTask = run_task
+    *, scheduler: str | None = None, jobs: int | None = None, do: DoTask = run_shared
 ) -> Iterator[DaskWorkers]:
     """Workers of the cluster at ``scheduler``, or of a local one of ``jobs`` processes (by default one a core); each
     takes one core. On leaving, a local cluster ends.
 
     Raises GtcalError where Dask isn't installed, or nobody answers at that address; and inside, where all processes of
-    a local cluster ended and none comes back."""
+    a local cluster ended and none comes back, or the scheduler at that address is lost."""
     try:
         import dask
         from distributed import Client, LocalCluster
     except ImportError:
-        raise GtcalError("batches run on Dask: pip install 'gtcal[fleet]', or give --jobs 0") from None
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)
+        raise GtcalError("batches run on Dask: pip install 'gtcal[fleet]', or give --processes 0") from None
+    _silence_dask()
     with dask.config.set(_OF_A_BUSY_MACHINE):
         if scheduler is not None:
             try:
@@ -183,6 +207,13 @@ def dask_workers(
         with cluster, Client(cluster) as client:
             client.register_plugin(_one_core_each())
             yield DaskWorkers(client, do, own=True)
+
+
+def _silence_dask() -> None:
+    """What it logs is told in words here, or put right."""
+    for name in ["distributed", *logging.root.manager.loggerDict]:
+        if name.split(".")[0] == "distributed":
+            logging.getLogger(name).setLevel(logging.CRITICAL)
 
 
 def _one_core_each() -> Any:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -49,7 +49,7 @@ def read_pose_calibration(path: Path | str) -> PoseCalibration:
 
 
 def pose_calibration_document(calibration: PoseCalibration) -> dict[str, Any]:
-    """As it stands in its file."""
+    """As it stands in the file."""
     return {
         "gtcal_pose_calibration": SCHEMA_VERSION,
         "conventions": CONVENTIONS,
@@ -65,6 +65,11 @@ def pose_calibration_document(calibration: PoseCalibration) -> dict[str, Any]:
         "dropped": [asdict(dropped) for dropped in calibration.dropped],
         "provenance": provenance_document(calibration.provenance),
     }
+
+
+def pose_comparison_document(forms: Sequence[ClosedForm]) -> dict[str, Any]:
+    """The closed forms alone, for ``--json``."""
+    return {"gtcal_pose_comparison": SCHEMA_VERSION, "closed_forms": [without_nan(asdict(form)) for form in forms]}
 
 
 def _camera_document(camera: PoseCamera) -> dict[str, Any]:

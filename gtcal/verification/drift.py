@@ -202,6 +202,11 @@ def write_drift_json(path: Path, drift: Drift, provenance: Provenance) -> None:
     """Write the series, its trends and the first recording that fails, whole or not at all.
 
     Raises GtcalError where it can't be written."""
+    write_text(path, json.dumps(drift_document(drift, provenance), indent=1, allow_nan=False) + "\n")
+
+
+def drift_document(drift: Drift, provenance: Provenance) -> dict[str, Any]:
+    """As it stands in drift.json."""
     document = {
         "gtcal_drift": SCHEMA_VERSION,
         "verdict": str(drift.verdict),
@@ -224,7 +229,8 @@ def write_drift_json(path: Path, drift: Drift, provenance: Provenance) -> None:
         "provenance": asdict(provenance)
         | {"inputs": [{"path": str(entry.path), "sha256": entry.sha256} for entry in provenance.inputs]},
     }
-    write_text(path, json.dumps(_without_nan(document), indent=1, allow_nan=False) + "\n")
+    found: dict[str, Any] = _without_nan(document)
+    return found
 
 
 def _without_nan(value: Any) -> Any:

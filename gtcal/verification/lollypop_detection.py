@@ -12,7 +12,7 @@ import numpy as np
 
 from gtcal.board import ArucoGrid
 from gtcal.camera import BoolArray, Camera, FloatArray
-from gtcal.detection.corner_search import SeenBoard
+from gtcal.detection.corner_search import PredictedBoard, SeenBoard
 from gtcal.detection.refinement import RefinedCorners, refine_corners
 from gtcal.detection.sight import board_image, sight_of
 from gtcal.detection.tags import FoundTags, module_centres_m, read_codes, read_tags
@@ -26,22 +26,42 @@ _ROUNDS = 2
 _MARGIN_PX = 3.0
 _MOVED_PART, _MOVED_PX = 0.15, 1.5  # of the tag's side: how far a fit may end from its start
 _MISFIT, _FAINTEST_STEP, _TURNED_RAD = 0.3, 4.0, 0.35
+_AROUND_PART, _AROUND_PX = 0.75, 48.0  # of its size, and at least: how far from where it should be it is looked for
 _LEAST_CORRELATION = 0.7  # with the tag's code: on rendered tags 0.75 or more where OpenCV reads them at all
 
 
-def see_lollypop(image: GreyImage, device: Lollypop, camera: Camera | None = None) -> SeenBoard:
+def see_lollypop(
+    image: GreyImage, device: Lollypop, camera: Camera | None = None, predicted: PredictedBoard | None = None
+) -> SeenBoard:
     """The corners of the device's tags in one image, uint8 (H, W): ids increasing; a tag with all four or none.
 
-    camera: used where it has parameters, to tell how the lens bends a tag's edges."""
+    camera: used where it has parameters, to tell how the lens bends a tag's edges. predicted: where the device's body
+    should be; its tags are then looked for near there only."""
     n_tags = 0
+    rows, columns = (slice(None), slice(None)) if predicted is None else _near(image, device, predicted)
     for threshold, scale in _PASSES:
-        tags = read_tags(image, device, threshold=threshold, scale=scale)
+        tags = read_tags(np.ascontiguousarray(image[rows, columns]), device, threshold=threshold, scale=scale)
+        tags = tags.shifted(columns.start or 0, rows.start or 0)
         n_tags = max(n_tags, len(tags))
         if len(tags):
             ids, corners_px = _fitted(image, device, camera, _distinct(tags))
             if len(ids):
                 return SeenBoard(ids, corners_px, n_tags)
     return SeenBoard(np.empty(0, dtype=np.int64), np.empty((0, 2)), n_tags)
+
+
+def _near(image: GreyImage, device: Lollypop, predicted: PredictedBoard) -> tuple[slice, slice]:
+    """The rows and columns of an image about the device; all of them where it has no pixel."""
+    points = device.corners_m @ predicted.camera_T_board[:3, :3].T + predicted.camera_T_board[:3, 3]
+    pixels, valid = predicted.camera.project(points)
+    if not valid.any():
+        return slice(None), slice(None)
+    low, high = pixels[valid].min(axis=0), pixels[valid].max(axis=0)
+    around = max(_AROUND_PART * float((high - low).max()), _AROUND_PX)
+    height, width = image.shape
+    first = np.clip(np.floor(low - around), 0, [width - 1, height - 1]).astype(int)
+    last = np.clip(np.ceil(high + around), 1, [width, height]).astype(int)
+    return slice(first[1], max(last[1], first[1] + 1)), slice(first[0], max(last[0], first[0] + 1))
 
 
 def _distinct(tags: FoundTags) -> FoundTags:

@@ -60,6 +60,7 @@ def error_classes(errors_px: FloatArray) -> npt.NDArray[np.int8]:
 
 
 ClockSource = Literal["calibration", "estimate", "trust"]
+ImagesLookedAt = Literal["all", "expected"]
 
 
 @dataclass(frozen=True)
@@ -68,6 +69,8 @@ class VerificationOptions:
 
     clock: calibration: where the calibration found an offset between the clocks, it is applied. estimate: what is left
         of one in this recording is found from the sightings, and applied too. trust: the stamps are taken as they are.
+    images: of cameras that come as images. all: every image is searched for the device. expected: some ten a second,
+        where calibration and mocap say that it is seen, and near there (``gtcal.verification.lollypop_guide``).
     max_rmse_px: e_2D RMSE that passes. 0.5 px: where the paper's green ends, and above all of its table (0.22 to
         0.44 px on a real headset, detection and mocap noise included).
     max_rmse_mm: e_3D RMSE that passes. 1 mm: what 0.5 px are at 1 m through a focal length of 500 px.
@@ -87,6 +90,7 @@ class VerificationOptions:
     Raises GtcalError for a value that makes no sense."""
 
     clock: ClockSource = "calibration"
+    images: ImagesLookedAt = "all"
     max_rmse_px: float = 0.5
     max_rmse_mm: float = 1.0
     confidence: float = 0.95
@@ -105,6 +109,8 @@ class VerificationOptions:
     def __post_init__(self) -> None:
         if self.clock not in get_args(ClockSource):
             raise GtcalError(f"clock: {self.clock!r} is none of {', '.join(get_args(ClockSource))}")
+        if self.images not in get_args(ImagesLookedAt):
+            raise GtcalError(f"images: {self.images!r} is none of {', '.join(get_args(ImagesLookedAt))}")
         for name in ("max_rmse_px", "max_rmse_mm", "least_fault_px"):
             if not 0.0 < getattr(self, name) < np.inf:
                 raise GtcalError(f"{name}: {getattr(self, name)} is not a positive number")

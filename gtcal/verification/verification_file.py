@@ -42,7 +42,7 @@ CONVENTIONS = (
     "of the mocap centre. rmse_low and rmse_high are one-sided bounds at options.confidence. A fault's correction C: "
     "markers_moved: camera_T_ref * C is better; camera_moved: C * camera_T_ref is. null stands for 'nothing measured'."
 )
-_NOT_WRITTEN: dict[type, tuple[str, ...]] = {
+NOT_WRITTEN: dict[type, tuple[str, ...]] = {
     Verification: ("sightings", "calibration", "recording"),
     TriangulationCheck: ("stamps_ns", "seen_by", "parallax_deg", "errors_in_ref_mm", "depth_mm", "across_mm"),
     PoseCheck: ("stamps_ns", "errors", "depth_mm", "across_mm", "rotation_deg"),
@@ -101,7 +101,7 @@ def _plain(value: Any) -> Any:
     if isinstance(value, Lollypop):
         return value.to_manifest()
     if is_dataclass(value):
-        left_out = _NOT_WRITTEN.get(type(value), ())
+        left_out = NOT_WRITTEN.get(type(value), ())
         return {f.name: _plain(getattr(value, f.name)) for f in fields(value) if f.name not in left_out}
     if isinstance(value, np.ndarray):
         return _plain(value.tolist())

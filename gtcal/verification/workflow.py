@@ -23,6 +23,7 @@ from gtcal.verification.depth_checks import check_poses, triangulate
 from gtcal.verification.error_statistics import bias, coverage, curves, error_statistics, heat_map
 from gtcal.verification.expected_error import expected_error
 from gtcal.verification.faults import find_faults
+from gtcal.verification.lollypop_guide import detected_where_expected
 from gtcal.verification.lollypop_recording import LollypopRecording, detected_lollypop
 from gtcal.verification.plausibility import check_fitting, check_related, check_seen
 from gtcal.verification.sightings import Path3D, n_frames, sightings_of
@@ -64,10 +65,15 @@ def verify(
     warnings = list(check_fitting(recording, calibration))
     names = [name for name in recording.cameras if name in calibration.cameras]
     lenses = {name: calibration.cameras[name].camera for name in names}
-    recording = detected_lollypop(recording, cameras=lenses, progress=progress)
+    times, images = sighting_times(calibration, options), recording.images
+    if options.images == "expected" and options.clock != "estimate":  # else nobody knows yet where to expect it
+        recording, said = detected_where_expected(recording, calibration, times, progress=progress)
+        recording = replace(recording, images={n: i for n, i in images.items() if n not in recording.detections})
+        warnings += said  # and most images were not looked at
+    else:
+        recording = detected_lollypop(recording, cameras=lenses, progress=progress)
     check_seen(recording, names)
     frames = np.unique(np.concatenate([_stamps_ns(recording, name) for name in names]))
-    times = sighting_times(calibration, options)
     _check_times(recording, lenses, times)
     sightings, paths, left_out = _compared(recording, calibration, options, names, frames, times, progress)
     check_related(paths, recording.device)
@@ -103,7 +109,7 @@ def verify(
         last_stamp_ns=int(frames[-1]),
         sightings=sightings,
         calibration=calibration,
-        recording=recording,
+        recording=replace(recording, images=images),
     )
 
 
