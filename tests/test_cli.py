@@ -24,7 +24,10 @@ from gtcal.recordings.recording import load_recording
 from gtcal.results.calibration_file import read_calibration
 from gtcal.simulation import MocapNoise, write_simulation
 
-HEAVY = ("gtsam", "numba", "cv2", "numpy", "scipy", "pydantic", "reportlab")
+HEAVY = (
+    *("gtsam", "numba", "cv2", "numpy", "scipy", "pydantic", "reportlab", "matplotlib", "pandas", "pyarrow", "rich", "loky"),
+    *("jinja2", "typeguard", "asyncio"),
+)
 
 
 @pytest.fixture(scope="module")

@@ -148,11 +148,12 @@ def _run(command: str, arguments: list[str]) -> int:
     gc.set_threshold(_GC_THRESHOLD)  # before the imports: they are half of a short command's time
     import tyro
 
+    from gtcal.cli.light_types import lightly_typed
     from gtcal.errors import GtcalError
     from gtcal.plain import one_line
 
     _warn_on_stderr()
-    function = _taking_jobs(getattr(import_module(f"gtcal.cli.{command}"), command))
+    function = lightly_typed(_taking_jobs(getattr(import_module(f"gtcal.cli.{command}"), command)))
     try:
         with _ending_in_words(), _words_beside_data(arguments):
             code = tyro.cli(function, prog=f"gtcal {command}", args=arguments)
