@@ -25,8 +25,8 @@ from gtcal.results.calibration_file import read_calibration
 from gtcal.simulation import MocapNoise, write_simulation
 
 HEAVY = (
-    *("gtsam", "numba", "cv2", "numpy", "scipy", "pydantic", "reportlab", "matplotlib", "pandas", "pyarrow", "rich", "loky"),
-    *("jinja2", "typeguard", "asyncio"),
+    *("gtsam", "numba", "cv2", "numpy", "scipy", "pydantic", "reportlab", "matplotlib", "pandas", "pyarrow"),
+    *("rich", "loky", "jinja2", "typeguard", "asyncio"),
 )
 
 

@@ -1,8 +1,8 @@
 """Types of a command's options as tyro checks them by itself.
 
-Whether a default is of its type tyro asks typeguard for ``X | None`` and for tuples, and the import of that is a third of
-the time until a command's help is there. A typing.Union it takes apart by itself, and ends at the first type that fits;
-a tuple it takes for any object, told how to read it.
+Whether a default is of its type tyro asks typeguard for ``X | None`` and for tuples, and the import of that is a third
+of the time until a command's help is there. A typing.Union it takes apart by itself, and ends at the first type that
+fits; a tuple it takes for any object, told how to read it.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ def _light(hint: Any) -> Any:
     if get_origin(hint) is Annotated:
         return Annotated[(_light(hint.__origin__), *hint.__metadata__)]
     if get_origin(hint) in (Union, UnionType) and NoneType in get_args(hint):
-        return Union[(None, *(one for one in get_args(hint) if one is not NoneType))]  # noqa: UP007
+        return Union[(None, *(one for one in get_args(hint) if one is not NoneType))]
     if get_origin(hint) is tuple:
         return Annotated[object, ConstructorRegistry.get_primitive_spec(PrimitiveTypeInfo.make(hint, set()))]
     return hint
