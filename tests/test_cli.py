@@ -24,7 +24,10 @@ from gtcal.recordings.recording import load_recording
 from gtcal.results.calibration_file import read_calibration
 from gtcal.simulation import MocapNoise, write_simulation
 
-HEAVY = ("gtsam", "numba", "cv2", "numpy", "scipy", "pydantic", "reportlab")
+HEAVY = (
+    *("gtsam", "numba", "cv2", "numpy", "scipy", "pydantic", "reportlab", "matplotlib", "pandas", "pyarrow"),
+    *("rich", "loky", "jinja2", "typeguard", "asyncio"),
+)
 
 
 @pytest.fixture(scope="module")
@@ -296,6 +299,20 @@ def test_schema_is_json_on_the_screen_and_in_a_file(tmp_path: Path) -> None:
     assert {"cameras", "board", "capture"} <= set(schema["properties"])
     assert run("schema", "-o", tmp_path / "schema.json").out == ""
     assert json.loads((tmp_path / "schema.json").read_text()) == schema
+
+
+def test_corners_are_written_as_parquet_which_a_manifest_takes(folder: Path, tmp_path: Path) -> None:
+    ran = run("detect", folder, "-o", tmp_path / "corners", "--format", "parquet", "-q")
+    assert (ran.code, ran.out, ran.err) == (0, "", "")
+    shutil.copytree(folder, tmp_path / "recording")
+    shutil.copytree(tmp_path / "corners", tmp_path / "recording", dirs_exist_ok=True)
+    manifest = tmp_path / "recording" / "recording.yaml"
+    manifest.write_text(manifest.read_text().replace("_detections.csv", ".parquet"))
+    before, after = load_recording(folder).detections, load_recording(tmp_path / "recording").detections
+    assert before
+    for name, corners in before.items():
+        np.testing.assert_array_equal(after[name].corners_px, corners.corners_px)
+    assert {f"{name}.parquet" for name in before} == files_in(tmp_path / "corners")
 
 
 @pytest.mark.long

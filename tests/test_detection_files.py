@@ -1,8 +1,12 @@
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pandas
+import pyarrow
 import pytest
+from pyarrow import parquet
 from support import random_detections, replace_once
 
 from factors import PINHOLE_RADTAN
@@ -11,6 +15,7 @@ from gtcal.camera import Camera
 from gtcal.errors import GtcalError
 from gtcal.recordings.detection_files import read_detections, write_detections
 from gtcal.recordings.detections import CameraDetections
+from gtcal.recordings.numbering import stamps_of
 
 BOARD = AprilGrid(tag_columns=6, tag_rows=6, tag_side_m=0.088, tag_spacing=0.3)
 OFFSET_BOARD = AprilGrid(tag_columns=3, tag_rows=2, tag_side_m=0.088, tag_spacing=0.3, first_tag_id=7)
@@ -148,7 +153,7 @@ def test_boards_without_tag_corners_are_not_named_by_tag(tmp_path: Path) -> None
 def test_missing_files_and_empty_folders_are_named(tmp_path: Path) -> None:
     with pytest.raises(GtcalError, match=r"absent\.csv: there is no such file"):
         read_detections(tmp_path / "absent.csv", PAPER_A2, CAMERA)
-    with pytest.raises(GtcalError, match=r"there is no \.csv file in this folder"):
+    with pytest.raises(GtcalError, match=r"there is no \.csv or \.parquet file in this folder"):
         read_detections(tmp_path, PAPER_A2, CAMERA)
 
 
@@ -162,3 +167,85 @@ def test_a_truncated_aprilgrid_file_is_named(tmp_path: Path, shared: Callable[[s
     replace_once(copy, "565.545105", "NaN")
     with pytest.raises(GtcalError, match=rf"{source.name}:3: kp_x is nan"):
         read_detections(tmp_path, BOARD, CAMERA)
+
+
+def test_parquet_is_read_back_to_the_last_bit_too(tmp_path: Path) -> None:
+    detections = random_detections(CAMERA, BOARD.n_corners, STAMPS_NS, seed=0)
+    write_detections(tmp_path / "cam0.parquet", detections)
+    assert_same(read_detections(tmp_path / "cam0.parquet", BOARD, CAMERA), detections)
+    assert (tmp_path / "cam0.parquet").stat().st_size < 20 * detections.n_corners
+    numbered = replace(detections, stamps_ns=stamps_of(np.arange(20)))
+    write_detections(tmp_path / "numbered.parquet", numbered, numbered=True)
+    assert_same(read_detections(tmp_path / "numbered.parquet", BOARD, CAMERA, numbered=True), numbered)
+    with pytest.raises(GtcalError, match=r"numbered\.parquet:1: the header .*set numbered: true"):
+        read_detections(tmp_path / "numbered.parquet", BOARD, CAMERA)
+
+
+def test_columns_of_parquet_come_in_any_order_with_others_and_as_frames_hold_them(tmp_path: Path) -> None:
+    columns = {"y_px": np.float32([2.5]), "score": [0.9], "x_px": [1], "corner_index": np.int8([3]), "tag_id": [8]}
+    frame = pandas.DataFrame(columns | {"timestamp_ns": pandas.to_datetime([STAMPS_NS[0]], unit="ns")})
+    frame.to_parquet(tmp_path / "cam0.parquet")
+    found = read_detections(tmp_path / "cam0.parquet", OFFSET_BOARD, CAMERA)
+    assert (found.stamps_ns.tolist(), found.corner_ids.tolist()) == ([STAMPS_NS[0]], [7])
+    np.testing.assert_array_equal(found.corners_px, [[1.0, 2.5]])
+
+
+@pytest.mark.parametrize(
+    ("column", "values", "message"),
+    [
+        ("corner_id", [0, 999], r"cam0\.parquet: row 2: corner_id 999 is not on the board"),
+        ("corner_id", [0.0, 1.0], r"cam0\.parquet: corner_id is a column of double; expected a whole number"),
+        ("x_px", [1.0, np.nan], r"cam0\.parquet: row 2: x_px is nan; expected a number"),
+        ("x_px", [1.0, None], r"cam0\.parquet: row 2: x_px is empty"),
+        ("y_px", [1.0, 900.0], r"cam0\.parquet: row 2: the pixel \(1, 900\) lies outside"),
+        ("y_px", ["1", "2"], r"cam0\.parquet: y_px is a column of .*string; expected a number"),
+        ("corner_id", [3, 3], r"cam0\.parquet: row 2: tag 0 corner 3 appears twice in the view at 5 ns"),
+    ],
+)
+def test_wrong_rows_of_parquet_are_named(column: str, values: list[object], message: str, tmp_path: Path) -> None:
+    columns = {"timestamp_ns": [5, 5], "corner_id": [0, 1], "x_px": [1.0, 1.0], "y_px": [1.0, 1.0], column: values}
+    parquet.write_table(pyarrow.table(columns), tmp_path / "cam0.parquet")
+    with pytest.raises(GtcalError, match=message):
+        read_detections(tmp_path / "cam0.parquet", BOARD, CAMERA)
+
+
+def test_a_damaged_parquet_file_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "cam0.parquet"
+    write_detections(path, random_detections(CAMERA, BOARD.n_corners, STAMPS_NS, seed=0))
+    whole = path.read_bytes()
+    for damaged in (b"", b"timestamp_ns", whole[:-40], whole[:60] + bytes(400) + whole[460:]):
+        path.write_bytes(damaged)
+        with pytest.raises(GtcalError, match=r"cam0\.parquet: is no Parquet file, or damaged: \S"):
+            read_detections(path, BOARD, CAMERA)
+
+
+@pytest.fixture
+def _by_arrow(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("gtcal.recordings.text_table._WORTH_ARROW", 0)
+
+
+@pytest.mark.usefixtures("_by_arrow")
+@pytest.mark.parametrize("end", ["\n", "\r\n"])
+def test_large_csvs_are_read_as_small_ones(end: str, tmp_path: Path) -> None:
+    detections = random_detections(CAMERA, BOARD.n_corners, STAMPS_NS, seed=0)
+    write_detections(tmp_path / "cam0.csv", detections)
+    text = (tmp_path / "cam0.csv").read_text()
+    for written in (text, "\ufeff# corners\n\n" + text.replace(",", " ,"), text.rstrip() + "\n# the end\n"):
+        (tmp_path / "cam0.csv").write_bytes(written.replace("\n", end).encode())
+        assert_same(read_detections(tmp_path / "cam0.csv", BOARD, CAMERA), detections)
+
+
+@pytest.mark.usefixtures("_by_arrow")
+@pytest.mark.parametrize(
+    ("row", "message"),
+    [
+        ("6,0,1,", r"cam0\.csv:3: y_px is empty; expected a number"),
+        ("6,0,1,nan", r"cam0\.csv:3: y_px is nan"),
+        ('"6",0,1,1', r"cam0\.csv:3: time stamp '\"6\"' is not a finite number"),
+        ("6,0,1", r"cam0\.csv:3: fields in the row: 3, expected 4"),
+        ("6,999,1,1", r"cam0\.csv:3: corner_id 999 is not on the board"),
+    ],
+)
+def test_wrong_rows_of_large_csvs_are_named_as_of_small_ones(row: str, message: str, tmp_path: Path) -> None:
+    with pytest.raises(GtcalError, match=message):
+        read_detections(csv(tmp_path, HEADER, "5,0,1,2", row), BOARD, CAMERA)

@@ -11,6 +11,7 @@ import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext, redirect_stdout
+from functools import wraps
 from importlib import import_module
 from pathlib import Path
 from textwrap import fill
@@ -100,6 +101,19 @@ def _taking_jobs(function: Callable[..., object]) -> Callable[..., object]:
     return function
 
 
+def _said_to_start(command: str, function: Callable[..., object]) -> Callable[..., object]:
+    """The command, saying in a terminal that it is there, for it takes a second to load what it computes with. What it
+    says next takes the line's place."""
+
+    @wraps(function)
+    def started(*arguments: object, **options: object) -> object:
+        if sys.stderr.isatty() and not options.get("quiet"):
+            print(f"gtcal {command}: starting", end="\r", file=sys.stderr, flush=True)
+        return function(*arguments, **options)
+
+    return started
+
+
 class _EndedError(BaseException):
     """A scheduler wants this program to end. As KeyboardInterrupt, nothing that catches errors catches it."""
 
@@ -156,11 +170,13 @@ def _run(command: str, arguments: list[str]) -> int:
     gc.set_threshold(_GC_THRESHOLD)  # before the imports: they are half of a short command's time
     import tyro
 
+    from gtcal.cli.light_types import lightly_typed
     from gtcal.errors import GtcalError
     from gtcal.plain import one_line
 
     _warn_on_stderr()
-    function = _taking_jobs(getattr(import_module(f"gtcal.cli.{command}"), command))
+    stated = _taking_jobs(getattr(import_module(f"gtcal.cli.{command}"), command))
+    function = _said_to_start(command, lightly_typed(stated))
     try:
         with _ending_in_words(), _words_beside_data(arguments):
             code = tyro.cli(function, prog=f"gtcal {command}", args=arguments)

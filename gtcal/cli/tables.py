@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from rich.console import Group, RenderableType
@@ -20,8 +20,10 @@ from gtcal.results.board_shape import BoardShape
 from gtcal.results.calibration import Calibration, CameraCalibration, StageReport, pose_difference
 from gtcal.results.covariance import CLUSTERED, ERRORS_IN_VARIABLES, NAIVE
 from gtcal.results.effect_finding import EffectFinding
-from gtcal.simulation import GroundTruth
 from gtcal.uncertainty.coverage import coverage
+
+if TYPE_CHECKING:
+    from gtcal.simulation import GroundTruth
 
 _COVARIANCES = {
     NAIVE: "from pixel noise alone: too small where the mocap is noisy",

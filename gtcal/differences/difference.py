@@ -15,7 +15,7 @@ from enum import StrEnum
 
 import gtsam
 import numpy as np
-from scipy.stats import chi2
+from scipy import special
 
 from factors.board_shape import N_SHAPE, outline_of, shaped
 from factors.rigid import adjoint, inverse
@@ -101,7 +101,7 @@ class Change:
     @property
     def probability(self) -> float:
         """Of a difference as large or larger where nothing moved."""
-        return float(chi2.sf(self.distance2, self.dof))
+        return float(special.chdtrc(self.dof, self.distance2))
 
     @property
     def moved(self) -> bool:
@@ -332,12 +332,12 @@ def _common_motion(poses: _Poses) -> _Common | None:
     """Where most of the cameras surely moved, and more than half of them together."""
     n = len(poses.names)
     xi, sigma = poses.xi(None), poses.covariance(None)
-    surely = [chi2.sf(squared_distance(xi[i], _block(sigma, i)), 6) < UNLIKELY / n for i in range(n)]
+    surely = [special.chdtrc(6, squared_distance(xi[i], _block(sigma, i))) < UNLIKELY / n for i in range(n)]
     keep = list(range(n))
     if 2 * sum(surely) <= n:
         return None
     while 2 * len(keep) > n and len(keep) > 1:
-        if chi2.sf(_distance2_to_each_other(poses, keep), 6 * (len(keep) - 1)) > UNLIKELY:
+        if special.chdtrc(6 * (len(keep) - 1), _distance2_to_each_other(poses, keep)) > UNLIKELY:
             return _Common.of(poses, keep)
         keep = min(([i for i in keep if i != out] for out in keep), key=lambda k: _distance2_to_each_other(poses, k))
     return None

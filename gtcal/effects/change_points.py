@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import chi2
+from scipy import special
 
 from gtcal.camera import BoolArray, FloatArray
 from gtcal.effects.effect import length
@@ -270,7 +270,7 @@ def _where(changes: Sequence[ChangePoint]) -> list[tuple[str, int]]:
 
 def _grown(search: _Search, found: tuple[ChangePoint, ...], level: float) -> tuple[ChangePoint, ...]:
     """With one more at a time, while it is significant; all tested again given the others."""
-    least_gain = chi2.isf(level / max(search.tests, 1), 6)
+    least_gain = special.chdtri(6, level / max(search.tests, 1))
     found = _those_that_hold(search, _tested_again(search, found, least_gain), level)
     while len(found) < MOST_CHANGES:
         more = search.most_significant(found)

@@ -12,8 +12,7 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 
 import numpy as np
-from scipy.stats import chi2
-from scipy.stats import f as f_distribution
+from scipy import special
 
 from gtcal.camera import FloatArray
 from gtcal.effects.effect import Effect
@@ -173,7 +172,7 @@ def _inverse(H: FloatArray) -> FloatArray:
 
 
 def _p_of_model(estimate: FloatArray, covariance: FloatArray) -> float:
-    return float(chi2.sf(_square(estimate, covariance), len(estimate)))
+    return float(special.chdtrc(len(estimate), _square(estimate, covariance)))
 
 
 def _p_of_scatter(estimate: FloatArray, covariance: FloatArray, count: int) -> float:
@@ -181,7 +180,7 @@ def _p_of_scatter(estimate: FloatArray, covariance: FloatArray, count: int) -> f
     k = len(estimate)
     if count <= k + 1:
         return 1.0
-    return float(f_distribution.sf(_square(estimate, covariance) * (count - k) / (k * (count - 1.0)), k, count - k))
+    return float(special.fdtrc(k, count - k, _square(estimate, covariance) * (count - k) / (k * (count - 1.0))))
 
 
 def _square(estimate: FloatArray, covariance: FloatArray) -> float:

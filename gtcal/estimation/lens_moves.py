@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-from scipy.stats import chi2
+from scipy import special
 
 from gtcal.camera import Camera, FloatArray
 from gtcal.estimation.estimate import Estimate
@@ -83,4 +83,4 @@ def lens_warnings(cameras: Mapping[str, Camera], moves: Mapping[str, tuple[LensM
 
 def _is_far(move: LensMove, camera: Camera) -> bool:
     size = len(camera.theta[GROUPS[move.group]])
-    return move.sigmas**2 * size > float(chi2.isf(UNLIKELY, size))
+    return move.sigmas**2 * size > float(special.chdtri(size, UNLIKELY))

@@ -14,9 +14,9 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from scipy import special
 from scipy.linalg import solve_triangular
 from scipy.optimize import minimize
-from scipy.stats import chi2
 
 from factors.rigid import adjoint, inverse
 from gtcal.camera import BoolArray, FloatArray
@@ -233,7 +233,7 @@ def gross_frames(frames: FrameMoments, covariance: FloatArray, allowance: float 
     offset = np.linalg.solve(pose, gradient)
     scatter = np.linalg.inv(pose) + allowance * covariance
     distance2 = np.einsum("nik,nik->n", offset, np.linalg.solve(scatter, offset))
-    return distance2 > chi2.isf(GROSS_PROBABILITY, 6)
+    return distance2 > special.chdtri(6, GROSS_PROBABILITY)
 
 
 @dataclass(frozen=True)
@@ -257,7 +257,7 @@ class _Likelihood:
     def first_guess(self) -> FloatArray:
         """From the median offset of the frames that the pixels alone show, shared out among the bodies alike."""
         offset = np.linalg.solve(regular(self.frames.moments[:, :6, :6]), self.frames.moments[:, :6, -1:])[:, :, 0]
-        median_of_norm = np.sqrt(chi2.median(3) * len(self.bodies))
+        median_of_norm = np.sqrt(special.chdtri(3, 0.5) * len(self.bodies))
         rotation, translation = (np.median(np.linalg.norm(part, axis=1)) for part in np.split(offset, 2, axis=1))
         each = [max(translation / median_of_norm, 1e-6), max(rotation / median_of_norm, 1e-7)]
         return np.log([*each * len(self.bodies), _TYPICAL_JITTER_S, _TYPICAL_CORRELATION_S])

@@ -10,8 +10,8 @@ from dataclasses import dataclass, field
 
 import gtsam
 import numpy as np
+from scipy import special
 from scipy.spatial.transform import Rotation
-from scipy.stats import chi2
 
 from factors import PoseMeasurementFactor, factory_intrinsics_prior
 from gtcal.camera import Camera, FloatArray
@@ -143,7 +143,7 @@ def contradictions(
     found = []
     for what, factor in prior_factors(priors, cameras, free_theta=free_theta):
         distance = float(np.sqrt(2.0 * factor.error(values)))
-        if distance > np.sqrt(chi2.isf(UNLIKELY, _n_known(factor, values))):
+        if distance > np.sqrt(special.chdtri(_n_known(factor, values), UNLIKELY)):
             found.append(f"the prior on {what} and the data contradict each other: it ends {distance:.1f} sigma off")
     return tuple(found)
 

@@ -93,7 +93,7 @@ class DaskWorkers:
     def __init__(self, client: Client, do: DoTask = run_shared, *, own: bool = False) -> None:
         """own: the cluster is this batch's, and nobody else adds workers to it."""
         self._client, self._do, self._own = client, do, own
-        self._where = "" if own else str(client.scheduler.address)
+        self._where = "" if own else str(client.scheduler_info()["address"])
         self._told_to_wait = False
         self._seen_s = time.monotonic()
         self._ended: queue.SimpleQueue[tuple[int, Task, Any]] = queue.SimpleQueue()

@@ -27,6 +27,8 @@ from gtcal.recordings.images import (
 from gtcal.recordings.layouts import find_layout, lens_fields
 from gtcal.recordings.manifest import MANIFEST_NAMES
 from gtcal.recordings.numbering import numbers_of
+from gtcal.recordings.parquet_table import SUFFIX as PARQUET
+from gtcal.recordings.parquet_table import open_parquet
 from gtcal.recordings.video_images import VIDEO_SUFFIXES, video_images
 from gtcal.recordings.vrs_images import VRS_SUFFIXES, image_streams, vrs_images
 
@@ -120,11 +122,21 @@ def _files(folder: Path, depth: int = 0) -> Iterator[Path]:
 
 
 def _first_line(path: Path) -> str:
-    """Of a small text file of columns; nothing of others."""
+    """Of a small text file of columns, or what it would be of a Parquet file; nothing of others."""
+    if path.suffix == PARQUET:
+        return _names(path)
     if path.suffix.lower() not in (".csv", ".tsv", ".txt"):
         return ""
     with path.open("rb") as file:
         return file.readline(4096).decode("utf-8", errors="replace").lstrip("\ufeff# ")
+
+
+def _names(path: Path) -> str:
+    """Of a Parquet file's columns; nothing where it can't be read."""
+    try:
+        return ",".join(open_parquet(path).names)
+    except GtcalError:
+        return ""
 
 
 def _mocap_files(files: list[Path]) -> Iterator[Path]:

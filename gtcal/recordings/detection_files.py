@@ -1,10 +1,11 @@
-"""Detected corners on disk: gtcal's own CSV, the same by tag and corner, and folders of one CSV per view."""
+"""Detected corners on disk: gtcal's own CSV or Parquet, the same by tag and corner, and folders of one CSV per view."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -15,7 +16,13 @@ from gtcal.errors import GtcalError
 from gtcal.files import write_aside
 from gtcal.recordings.detections import CameraDetections, Cornered, IntArray
 from gtcal.recordings.numbering import LARGEST_NUMBER, numbers_of, stamps_of
+from gtcal.recordings.parquet_table import SUFFIX as PARQUET
+from gtcal.recordings.parquet_table import ParquetTable, open_parquet, write_parquet
 from gtcal.recordings.text_table import Kind, TextTable, open_table
+
+DetectionFormat = Literal["csv", "parquet"]
+"""How corners are kept, and the end of such a file's name. Parquet is a quarter of the size, and read ten times as
+fast: for recordings of millions of corners. It needs pyarrow."""
 
 _HEADER, _NUMBERED_HEADER = "timestamp_ns,corner_id,x_px,y_px", "number,corner_id,x_px,y_px"
 _ROWS_PER_WRITE = 100_000
@@ -24,8 +31,8 @@ _SAME_CORNER_M = 1e-4
 
 
 def read_detections(path: Path, board: Cornered, camera: Camera, *, numbered: bool = False) -> CameraDetections:
-    """Read the detections of one camera from a CSV, or from all the CSVs of a folder. The header of each tells its
-    kind:
+    """Read the detections of one camera from a CSV or Parquet file, or from all those of a folder. The header of each,
+    or the names of its columns, tell its kind:
 
     - ``timestamp_ns,corner_id,x_px,y_px``: corner ids of the board;
     - ``timestamp_ns,tag_id,corner_index,x_px,y_px``: tag ids as printed, corners 0..3 of a tag as its board has;
@@ -36,24 +43,45 @@ def read_detections(path: Path, board: Cornered, camera: Camera, *, numbered: bo
 
     Rows come in any order. Raises GtcalError with file and line where a row can't be read, an id is not on the
     board, a corner appears twice in a view, or a pixel lies outside the image."""
-    files = sorted(path.glob("*.csv")) if path.is_dir() else [path]
+    files = _files(path)
     if not files:
-        raise GtcalError(f"{path}: there is no .csv file in this folder of detections")
+        raise GtcalError(f"{path}: there is no .csv or {PARQUET} file in this folder of detections")
     parts = [_read_file(file, board, camera, numbered) for file in files]
     return _joined(parts, board, numbered)
 
 
 def write_detections(path: Path, detections: CameraDetections, *, numbered: bool = False) -> None:
-    """Write detections as gtcal's own CSV, every digit. Views without corners leave no row."""
+    """Write detections as gtcal's own Parquet where the path ends so, else as its CSV; every digit. Views without
+    corners leave no row.
+
+    Raises GtcalError where that can't be written."""
     of_views = numbers_of(detections.stamps_ns) if numbered else detections.stamps_ns
     stamps_ns = np.repeat(of_views, np.diff(detections.view_start))
+    if path.suffix == PARQUET:
+        columns = stamps_ns, detections.corner_ids, *detections.corners_px.T
+        write_parquet(path, dict(zip((_NUMBERED_HEADER if numbered else _HEADER).split(","), columns, strict=True)))
+        return
     with write_aside(path) as file:
         file.write((_NUMBERED_HEADER if numbered else _HEADER) + "\n")
         for start in range(0, detections.n_corners, _ROWS_PER_WRITE):
             rows = slice(start, start + _ROWS_PER_WRITE)
             x_px, y_px = detections.corners_px[rows].T.tolist()
-            columns = zip(stamps_ns[rows].tolist(), detections.corner_ids[rows].tolist(), x_px, y_px, strict=True)
-            file.writelines(f"{stamp},{corner},{x!r},{y!r}\n" for stamp, corner, x, y in columns)
+            lines = zip(stamps_ns[rows].tolist(), detections.corner_ids[rows].tolist(), x_px, y_px, strict=True)
+            file.writelines(f"{stamp},{corner},{x!r},{y!r}\n" for stamp, corner, x, y in lines)
+
+
+Table = TextTable | ParquetTable
+
+
+def _files(path: Path) -> list[Path]:
+    """The file, or those of a folder."""
+    if not path.is_dir():
+        return [path]
+    return sorted(file for file in path.iterdir() if file.suffix in (".csv", PARQUET))
+
+
+def _opened(path: Path) -> Table:
+    return open_parquet(path) if path.suffix == PARQUET else open_table(path, ",")
 
 
 @dataclass(frozen=True)
@@ -68,9 +96,8 @@ class StatedTags:
 def stated_tags(path: Path) -> StatedTags | None:
     """What the detections of one camera say of their board, None where they name no tags. Raises GtcalError where they
     can't be read."""
-    files = sorted(path.glob("*.csv")) if path.is_dir() else [path]
     known = _LAYOUTS + _NUMBERED_LAYOUTS
-    tables = [(table, _layout(table, known)) for table in (open_table(file, ",") for file in files)]
+    tables = [(table, _layout(table, known)) for table in map(_opened, _files(path))]
     rows = [table.read(layout.columns) for table, layout in tables if ("tag_id", "integer") in layout.columns]
     if not rows:
         return None
@@ -88,7 +115,7 @@ def stated_tags(path: Path) -> StatedTags | None:
 class _Part:
     """The rows of one file: time stamps, corner ids (N,) and pixels (N, 2)."""
 
-    table: TextTable
+    table: Table
     stamps_ns: IntArray
     corner_ids: IntArray
     corners_px: FloatArray
@@ -100,10 +127,10 @@ class _Layout:
 
     columns: tuple[tuple[str, Kind], ...]
     pixel: tuple[str, str]
-    corner_ids: Callable[[TextTable, npt.NDArray, Cornered], IntArray]
+    corner_ids: Callable[[Table, npt.NDArray, Cornered], IntArray]
 
 
-def _corner_ids_as_given(table: TextTable, rows: npt.NDArray, board: Cornered) -> IntArray:
+def _corner_ids_as_given(table: Table, rows: npt.NDArray, board: Cornered) -> IntArray:
     ids = rows["corner_id"]
     bad = np.flatnonzero((ids < 0) | (ids >= board.n_corners))
     if len(bad):
@@ -114,7 +141,7 @@ def _corner_ids_as_given(table: TextTable, rows: npt.NDArray, board: Cornered) -
     return ids
 
 
-def _corner_ids_by_tag(table: TextTable, rows: npt.NDArray, board: Cornered) -> IntArray:
+def _corner_ids_by_tag(table: Table, rows: npt.NDArray, board: Cornered) -> IntArray:
     if not isinstance(board, TagGrid):
         raise GtcalError(
             f"{table.path}: the file names corners by tag, but the board is no grid of tags ({board.describe()}); "
@@ -136,7 +163,7 @@ def _corner_ids_by_tag(table: TextTable, rows: npt.NDArray, board: Cornered) -> 
     return 4 * index + corner
 
 
-def _corner_ids_of_aprilgrid(table: TextTable, rows: npt.NDArray, board: Cornered) -> IntArray:
+def _corner_ids_of_aprilgrid(table: Table, rows: npt.NDArray, board: Cornered) -> IntArray:
     ids = _corner_ids_by_tag(table, rows, board)
     in_file_m = np.stack([rows[f"p_{axis}"] for axis in "xyz"], axis=1)
     apart_m = np.abs(in_file_m - board.corners_m[ids]).max(axis=1)
@@ -177,7 +204,7 @@ _NUMBERED_LAYOUTS = tuple(replace(layout, columns=(_NUMBER, *layout.columns[1:])
 
 
 def _read_file(path: Path, board: Cornered, camera: Camera, numbered: bool) -> _Part:
-    table = open_table(path, ",")
+    table = _opened(path)
     layout = _layout(table, _NUMBERED_LAYOUTS if numbered else _LAYOUTS)
     rows = table.read(layout.columns)
     corners_px = np.stack([rows[name] for name in layout.pixel], axis=1)
@@ -187,7 +214,7 @@ def _read_file(path: Path, board: Cornered, camera: Camera, numbered: bool) -> _
     return _Part(table, stamps_ns, layout.corner_ids(table, rows, board), corners_px)
 
 
-def _stamps_of_numbers(table: TextTable, numbers: IntArray) -> IntArray:
+def _stamps_of_numbers(table: Table, numbers: IntArray) -> IntArray:
     bad = np.flatnonzero((numbers < 0) | (numbers > LARGEST_NUMBER))
     if len(bad):
         raise table.error(
@@ -197,14 +224,14 @@ def _stamps_of_numbers(table: TextTable, numbers: IntArray) -> IntArray:
     return stamps_of(numbers)
 
 
-def _layout(table: TextTable, layouts: tuple[_Layout, ...]) -> _Layout:
+def _layout(table: Table, layouts: tuple[_Layout, ...]) -> _Layout:
     for layout in layouts:
-        if table.header() == _names(layout):
+        if table.holds(_names(layout)):
             return layout
     hint = ""
-    if table.header() in map(_names, _LAYOUTS):
+    if any(map(table.holds, map(_names, _LAYOUTS))):
         hint = "; numbered: true, but these corners have time stamps"
-    elif table.header() in map(_names, _NUMBERED_LAYOUTS):
+    elif any(map(table.holds, map(_names, _NUMBERED_LAYOUTS))):
         hint = "; these corners go by number: set numbered: true"
     raise GtcalError(
         f"{table.path}:1: the header is {','.join(table.header())!r}, not that of a file of detections; "
@@ -216,7 +243,7 @@ def _names(layout: _Layout) -> tuple[str, ...]:
     return tuple(name for name, _ in layout.columns)
 
 
-def _check_in_image(table: TextTable, corners_px: FloatArray, camera: Camera) -> None:
+def _check_in_image(table: Table, corners_px: FloatArray, camera: Camera) -> None:
     bad = np.flatnonzero(~camera.in_image(corners_px))
     if len(bad):
         x, y = corners_px[bad[0]]
@@ -229,14 +256,26 @@ def _check_in_image(table: TextTable, corners_px: FloatArray, camera: Camera) ->
 
 def _joined(parts: list[_Part], board: Cornered, numbered: bool) -> CameraDetections:
     """The parts as one, in order of time; within a view in the order of the files."""
-    stamps_ns = np.concatenate([part.stamps_ns for part in parts])
-    corner_ids = np.concatenate([part.corner_ids for part in parts])
-    corners_px = np.concatenate([part.corners_px for part in parts])
-    _check_unique(parts, stamps_ns, corner_ids, board, numbered)
-    order = np.argsort(stamps_ns, kind="stable")
-    view_stamps_ns, counts = np.unique(stamps_ns, return_counts=True)
-    view_start = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
-    return CameraDetections(view_stamps_ns, view_start, corner_ids[order], corners_px[order])
+    stamps_ns, corner_ids, corners_px = (
+        _concatenated([getattr(part, column) for part in parts]) for column in ("stamps_ns", "corner_ids", "corners_px")
+    )
+    if not _increasing(stamps_ns, corner_ids):
+        _check_unique(parts, stamps_ns, corner_ids, board, numbered)
+        order = np.argsort(stamps_ns, kind="stable")
+        stamps_ns, corner_ids, corners_px = stamps_ns[order], corner_ids[order], corners_px[order]
+    first = np.flatnonzero(np.diff(stamps_ns, prepend=stamps_ns[:1] - 1))
+    view_start = np.append(first, len(stamps_ns)).astype(np.int64)
+    return CameraDetections(stamps_ns[first], view_start, corner_ids, corners_px)
+
+
+def _concatenated(parts: list[npt.NDArray]) -> npt.NDArray:
+    return parts[0] if len(parts) == 1 else np.concatenate(parts)
+
+
+def _increasing(stamps_ns: IntArray, corner_ids: IntArray) -> bool:
+    """Whether the rows come in order of time, and those of a view in order of their ids, as gtcal writes them."""
+    later = np.diff(stamps_ns)
+    return bool(((later > 0) | ((later == 0) & (np.diff(corner_ids) > 0))).all())
 
 
 def _check_unique(

@@ -165,7 +165,7 @@ class CameraEntry(Entry):
     )
     detections: str | None = Field(
         default=None,
-        description="CSV of detected corners, or a folder of CSVs. Taken in place of detecting in 'images'.",
+        description="CSV or Parquet of detected corners, or a folder of such. Taken in place of detecting in 'images'.",
     )
     rolling_shutter: ShutterEntry | None = Field(
         default=None, description="Given where the camera exposes its rows one after the other."

@@ -23,7 +23,7 @@ from gtcal.readers.mocap_exports import EXPORT_WRITERS, MocapFormat
 from gtcal.readers.pose_list import read_pose_list, write_pose_list
 from gtcal.recordings.bag_images import bag_images
 from gtcal.recordings.capture import Capture, RefMotion
-from gtcal.recordings.detection_files import read_detections, write_detections
+from gtcal.recordings.detection_files import DetectionFormat, read_detections, write_detections
 from gtcal.recordings.detections import CameraDetections, Cornered, IntArray
 from gtcal.recordings.images import Images, first_whole, image_folder, image_list, numbered_folder, shifted
 from gtcal.recordings.layouts import lens_files
@@ -157,7 +157,13 @@ def _all_stamps_ns(seen: Mapping[str, CameraDetections | Images]) -> IntArray:
     return np.unique(np.concatenate([of_camera.stamps_ns for of_camera in seen.values()]))
 
 
-def write_recording(recording: Recording, folder: Path | str, *, mocap_format: MocapFormat = "euroc_csv") -> Path:
+def write_recording(
+    recording: Recording,
+    folder: Path | str,
+    *,
+    mocap_format: MocapFormat = "euroc_csv",
+    detection_format: DetectionFormat = "csv",
+) -> Path:
     """Write a recording so that ``load_recording`` gives the same back: detections and trajectories with every
     digit beside the manifest, whose path is returned. Images stay where they are and are pointed to. The manifest
     comes last: before it is there, the folder is no recording.
@@ -165,7 +171,7 @@ def write_recording(recording: Recording, folder: Path | str, *, mocap_format: M
     Raises GtcalError where the folder can't be written, or the format can't hold the trajectories."""
     folder = Path(folder)
     for name, detections in recording.detections.items():
-        write_detections(folder / detections_name(name), detections, numbered=recording.numbered)
+        write_detections(folder / detections_name(name, detection_format), detections, numbered=recording.numbered)
     bodies = (
         numbered_entries(folder, recording.motion.trajectories)
         if recording.numbered
@@ -177,7 +183,12 @@ def write_recording(recording: Recording, folder: Path | str, *, mocap_format: M
         board=recording.board.to_manifest(),
         numbered=recording.numbered,
         cameras={
-            name: camera_entry(camera, recording.images.get(name), folder, with_detections=name in recording.detections)
+            name: camera_entry(
+                camera,
+                recording.images.get(name),
+                folder,
+                detections_name(name, detection_format) if name in recording.detections else None,
+            )
             for name, camera in recording.cameras.items()
         },
         platform=bodies.get("platform"),
@@ -418,16 +429,16 @@ def _other_image_size(cx: float, cy: float, width: int, height: int) -> str:
     return ""
 
 
-def camera_entry(camera: Camera, images: Images | None, folder: Path, *, with_detections: bool) -> CameraEntry:
-    """The manifest's entry of a camera, for a manifest in ``folder``; a list of its images is written where their
-    names need one."""
+def camera_entry(camera: Camera, images: Images | None, folder: Path, detections: str | None) -> CameraEntry:
+    """The manifest's entry of a camera, for a manifest in ``folder``, its file of ``detections`` beside it; a list of
+    its images is written where their names need one."""
     theta = None if camera.parameters is None else camera.parameters.tolist()
     return CameraEntry(
         model=camera.model.name,
         image_size_px=[camera.image_width_px, camera.image_height_px],
         parameters=None if theta is None else dict(zip(camera.model.parameter_names, theta, strict=True)),
         parameter_sigmas=_sigmas_entry(camera),
-        detections=detections_name(camera.name) if with_detections else None,
+        detections=detections,
         rolling_shutter=_shutter_entry(camera.rolling_shutter),
         **({} if images is None else images.entry(camera.name, folder)),
     )
@@ -454,6 +465,6 @@ def _shutter_entry(shutter: RollingShutter | None) -> ShutterEntry | None:
     return ShutterEntry(readout_ms=readout_ms, stamped_row=shutter.stamped_row)
 
 
-def detections_name(camera: str) -> str:
+def detections_name(camera: str, detection_format: DetectionFormat = "csv") -> str:
     """The file of a camera's detections beside the manifest."""
-    return f"{camera}_detections.csv"
+    return f"{camera}_detections.{detection_format}"

@@ -1,4 +1,5 @@
-"""Text files of numbers in columns: parsed by NumPy's C reader, explained line by line only where that fails."""
+"""Text files of numbers in columns: parsed by NumPy's C reader, or by Arrow's on all cores where they are large and it
+is installed; explained line by line only where that fails."""
 
 from __future__ import annotations
 
@@ -12,14 +13,16 @@ from typing import IO, Any, Literal
 import numpy as np
 import numpy.typing as npt
 
+from gtcal.arrow import columns_of_csv
 from gtcal.camera import FloatArray
 from gtcal.errors import GtcalError
-from gtcal.files import TABLE_BYTES, check_regular
+from gtcal.files import TABLE_BYTES, MiB, check_regular
 from gtcal.recordings.detections import IntArray
 
 Kind = Literal["stamp", "integer", "number", "ignored"]
 # A time stamp stays text until it is scaled to whole nanoseconds: 1606153863362296104 has no float64.
 _DTYPES: dict[Kind, str] = {"stamp": "S40", "integer": "i8", "number": "f8", "ignored": "S1"}
+_WORTH_ARROW = 8 * MiB  # its import takes as long as a file of that size
 _LONGEST_STAMP = 39  # one less, so that a text that NumPy's reader cut off is told from one that fits
 TIME_UNIT_DIGITS = {"s": 9, "ms": 6, "us": 3, "ns": 0}
 """Decimal digits between each unit of time and the nanosecond."""
@@ -47,14 +50,42 @@ class TextTable:
         names = self.split(self.comments[-1]) if self.comments else ()
         return names if len(names) > 1 else ()
 
+    def holds(self, names: tuple[str, ...]) -> bool:
+        """Whether these are its columns, in this order."""
+        return self.header() == names
+
     def split(self, line: str) -> tuple[str, ...]:
         return tuple(field.strip() for field in line.split(self.separator))
 
     def read(self, columns: Sequence[tuple[str, Kind]]) -> npt.NDArray[Any]:
-        """All rows, as a structured array with these columns (name, kind), one for each field of a row.
+        """All rows, as a structured array with these columns (name, kind), one for each field of a row. Stamps are
+        text, or whole numbers where all of them are.
 
         Raises GtcalError with file and line where a row has another number of fields, or a field is not a
         whole number, not a number, NaN or infinite."""
+        rows = self._plain_numbers(columns)
+        if rows is None:
+            rows = self._any_numbers(columns)
+        for name, kind in columns:
+            if kind == "number":
+                self._check_finite(name, rows[name])
+        return rows
+
+    def _plain_numbers(self, columns: Sequence[tuple[str, Kind]]) -> npt.NDArray[Any] | None:
+        """Of a large file that holds nothing else."""
+        if self.separator != "," or self.path.stat().st_size < _WORTH_ARROW:
+            return None
+        types = {name: np.float64 if kind == "number" else np.int64 for name, kind in columns if kind != "ignored"}
+        found = columns_of_csv(self.path, self.skip_lines, [name for name, _ in columns], types)
+        if found is None:
+            return None
+        dtypes = [(name, types.get(name, _DTYPES["ignored"])) for name, _ in columns]
+        rows = np.zeros(len(found[0]), dtypes)
+        for name, column in zip(types, found, strict=True):
+            rows[name] = column
+        return rows
+
+    def _any_numbers(self, columns: Sequence[tuple[str, Kind]]) -> npt.NDArray[Any]:
         dtype = np.dtype([(name, _DTYPES[kind]) for name, kind in columns])
         if self.n_columns == 0:
             return np.empty(0, dtype)
@@ -63,9 +94,6 @@ class TextTable:
                 rows = np.loadtxt(file, dtype=dtype, delimiter=self.separator, skiprows=self.skip_lines, ndmin=1)
         except ValueError as error:
             raise self._explain(columns, error) from error
-        for name, kind in columns:
-            if kind == "number":
-                self._check_finite(name, rows[name])
         return rows
 
     def last_line_has_no_end(self) -> bool:
@@ -75,16 +103,16 @@ class TextTable:
             file.seek(max(0, file.tell() - 1))
             return file.read(1) not in (b"\n", b"\r", b"")
 
-    def stamps_ns(self, texts: npt.NDArray[np.bytes_], time_unit: str) -> IntArray:
-        """(N,) time stamps, given as a column of text in ``time_unit`` (s, ms, us, ns), as nanoseconds: exact
+    def stamps_ns(self, stamps: npt.NDArray[np.bytes_] | IntArray, time_unit: str) -> IntArray:
+        """(N,) time stamps, given as ``read`` gives them in ``time_unit`` (s, ms, us, ns), as nanoseconds: exact
         where they have no more decimals than that, else rounded.
 
         Raises GtcalError with file and line where one is no number or too large for its unit."""
         scale = 10 ** TIME_UNIT_DIGITS[time_unit]
         try:
-            whole = texts.astype(np.int64)
+            whole = stamps.astype(np.int64)
         except (ValueError, OverflowError):
-            return self._decimal_stamps_ns(texts, time_unit)
+            return self._decimal_stamps_ns(np.asarray(stamps, np.bytes_), time_unit)
         too_large = np.flatnonzero(np.abs(whole.astype(np.float64)) * scale >= 2.0**63)
         if len(too_large):
             row = int(too_large[0])

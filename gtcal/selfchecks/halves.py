@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import gtsam
 import numpy as np
-from scipy.stats import chi2
+from scipy import special
 
 from factors.rigid import inverse
 from gtcal.camera import FloatArray
@@ -41,7 +41,7 @@ class Difference:
     @property
     def probability(self) -> float:
         """Of a difference as large or larger, were the covariances true."""
-        return float(chi2.sf(self.distance2, self.dof))
+        return float(special.chdtrc(self.dof, self.distance2))
 
     @property
     def per_dof(self) -> float:

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
 from gtcal.camera import BoolArray, FloatArray
@@ -93,6 +92,8 @@ def measured_body(
 
 def pose_noise(n: int, interval_s: float, noise: MocapNoise, rng: np.random.Generator) -> FloatArray:
     """(N, 4, 4) Exp of the noise of consecutive samples, ``interval_s`` apart."""
+    from scipy.signal import lfilter  # slow to import
+
     unit = rng.standard_normal((n, 6))
     if noise.correlation_s > 0.0:
         kept = np.exp(-interval_s / noise.correlation_s)

@@ -8,7 +8,7 @@ and what the recording itself leaves open, which accounts for the mocap's noise 
 from __future__ import annotations
 
 import numpy as np
-from scipy.stats import f as f_distribution
+from scipy import special
 
 from factors.rigid import inverse
 from gtcal.camera import FloatArray
@@ -72,7 +72,7 @@ def _in_ref(seen: Sightings) -> FloatArray:
 def _p_value(distance2: float, degrees_of_freedom: float) -> float:
     """Of Hotelling's test that there is no such error."""
     n, k = max(degrees_of_freedom, 6.0 + 1e-6), 6.0
-    return float(f_distribution.sf(distance2 * (n - k + 1.0) / (n * k), k, n - k + 1.0))
+    return float(special.fdtrc(k, n - k + 1.0, distance2 * (n - k + 1.0) / (n * k)))
 
 
 def _rms_px(J: FloatArray, covariance: FloatArray) -> float:

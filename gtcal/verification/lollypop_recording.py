@@ -185,7 +185,12 @@ def write_lollypop_recording(
         capture=recording.capture.value,
         device=recording.device.to_manifest(),
         cameras={
-            name: camera_entry(camera, recording.images.get(name), folder, with_detections=name in recording.detections)
+            name: camera_entry(
+                camera,
+                recording.images.get(name),
+                folder,
+                detections_name(name) if name in recording.detections else None,
+            )
             for name, camera in recording.cameras.items()
         },
         platform=bodies.get("platform"),
