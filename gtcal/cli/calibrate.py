@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from factors import RobustKernel
     from gtcal.differences.carried_over import EarlierCalibration, Part
     from gtcal.estimation.options import CalibrationOptions, IntrinsicsMode, MocapSigmas
+    from gtcal.pose_recordings.calibration import PoseCalibration
     from gtcal.progress import Progress
     from gtcal.recordings.recording import Recording
     from gtcal.results.calibration import Calibration
@@ -186,8 +187,8 @@ def calibrate(
         allow_degenerate=allow_degenerate,
     )
     if holds_poses(recording):
-        asked = {"report": report, "priors": priors, "from": from_, "more than one recording": more or None}
-        _calibrate_poses(recording, options, output, asked, verbose=verbose, quiet=quiet)
+        asked = {"priors": priors, "from": from_, "more than one recording": more or None}
+        _calibrate_poses(recording, options, output, report, asked, verbose=verbose, quiet=quiet)
         return
     loaded = [load_recording(path) for path in (recording, *more)]
     earlier = None if from_ is None else _earlier(from_, from_parts, from_days, from_growth)
@@ -207,6 +208,7 @@ def _calibrate_poses(
     recording: Path,
     options: CalibrationOptions,
     output: Path,
+    report: Path | None,
     asked: Mapping[str, object],
     *,
     verbose: bool,
@@ -222,11 +224,11 @@ def _calibrate_poses(
     from gtcal.errors import GtcalError
     from gtcal.estimation.options import CalibrationOptions
     from gtcal.files import check_outputs
-    from gtcal.pose_recordings.calibration import calibrate_pose_recording
+    from gtcal.pose_recordings.calibration import OF_POSES, calibrate_pose_recording
     from gtcal.pose_recordings.calibration_file import write_pose_calibration
     from gtcal.pose_recordings.recording import load_pose_recording
 
-    plain, count = CalibrationOptions(), {"seed", "eps", "max_iterations", "allow_degenerate", "priors"}
+    plain, count = CalibrationOptions(), {*OF_POSES, "priors"}
     given = [name for name, value in asked.items() if value is not None]
     given += [
         f.name for f in fields(options) if f.name not in count and getattr(options, f.name) != getattr(plain, f.name)
@@ -236,13 +238,21 @@ def _calibrate_poses(
             f"{recording}: has poses in place of corners, which have no use for {', '.join(given)}: leave it out"
         )
     loaded = load_pose_recording(recording)
-    check_outputs((output,), loaded.files)
+    check_outputs((output, report), loaded.files)
     with shown_progress(quiet) as progress:
         found = calibrate_pose_recording(loaded, options, progress=progress)
     write_pose_calibration(output, found)
+    if report is not None:
+        _write_pose_report(report, found)
     if not quiet:
         print_pose_calibration(found, notes=loaded.notes, verbose=verbose)
-        print(f"written: {output}")
+        print(f"written: {output}" + (f", {report}" if report is not None else ""))
+
+
+def _write_pose_report(path: Path, found: PoseCalibration) -> None:
+    from gtcal.pose_recordings.report import write_pose_report
+
+    write_pose_report(path, found)
 
 
 def _earlier(

@@ -25,7 +25,8 @@ def doctor(
     quaternion order, inverse poses, handedness, swapped bodies or cameras, time stamps in s, ms, us or ns, clocks that
     differ, the board's size, gaps and tag order, images mirrored, turned or of another size, the order of the lens's
     coefficients. A recording that can't be read as it stands is read with other lines in its manifest. Nothing is
-    changed on disk but the corners that are detected in images, which are kept as by 'gtcal calibrate'.
+    changed on disk but the corners that are detected in images, which are kept as by 'gtcal calibrate'. Of poses in
+    place of corners those of the cameras are read otherwise too.
 
     Exit code: 0 where nothing is wrong, 1 where something is.
 
@@ -39,12 +40,14 @@ def doctor(
     from gtcal.doctor.diagnose import diagnose
     from gtcal.doctor.diagnosis_file import write_diagnosis
     from gtcal.files import check_outputs
+    from gtcal.pose_recordings.doctor import diagnose_poses
+    from gtcal.pose_recordings.recording import holds_poses
     from gtcal.recordings.manifest import named_files
 
     if json is not None:
         check_outputs([json], named_files(recording))
     with shown_progress(quiet) as progress:
-        found = diagnose(recording, progress=progress)
+        found = (diagnose_poses if holds_poses(recording) else diagnose)(recording, progress=progress)
     if json is not None:
         write_diagnosis(json, found)
     if not quiet:

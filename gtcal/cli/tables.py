@@ -166,14 +166,14 @@ def shape_table(found: BoardShape) -> Table:
     return table
 
 
-def effect_table(findings: Sequence[EffectFinding]) -> Table:
-    """A row per effect that the model leaves out, those that move a camera most first."""
+def effect_table(findings: Sequence[EffectFinding], unit: str = "px") -> Table:
+    """A row per effect that the model leaves out, those that move a camera most first. unit: of hold-out errors."""
     table = new_table(
         "what else the data want",
         caption="chance: allowing for all that was tried; hold-out: by how much the error of unseen frames falls; "
         "cameras: how far they would move, at most",
     )
-    for heading in ("size", "when, s", "chance", "hold-out, px", "cameras, mm", "deg"):
+    for heading in ("size", "when, s", "chance", f"hold-out, {unit}", "cameras, mm", "deg"):
         table.add_column(heading, justify="left" if heading == "size" else "right")
     for finding in findings:
         table.add_row(

@@ -386,8 +386,8 @@ def _refuse_poses(path: Path, cameras: Any) -> None:
     for name, camera in cameras.items() if isinstance(cameras, dict) else ():
         if isinstance(camera, dict) and "views" in camera:
             raise GtcalError(
-                f"{path}: cameras.{name}.views: these are poses in place of corners, which 'gtcal calibrate' and "
-                "'gtcal compare' take; all else needs images or corners"
+                f"{path}: cameras.{name}.views: these are poses in place of corners, which 'gtcal calibrate', "
+                "'compare', 'doctor' and 'report' take; all else needs images or corners"
             )
 
 

@@ -216,7 +216,7 @@ def _calibration(document: Mapping[str, Any]) -> Calibration:
         estimates={int(stage): _estimate(block) for stage, block in document["estimates"].items()},
         mocap_noise=_mocap_noise(document["mocap_noise"]),
         clock=None if document["clock"] is None else Clock(**document["clock"]),
-        effects=tuple(_finding(block) for block in document.get("effects", ())),
+        effects=tuple(finding_of(block) for block in document.get("effects", ())),
         carried_over=_carried_over(document.get("carried_over")),
         segments=tuple(_segment(block) for block in document.get("segments", ())),
         stages=tuple(stage_of(block) for block in document["stages"]),
@@ -285,7 +285,8 @@ def _mocap_noise(block: Mapping[str, Any] | None) -> MocapNoise | None:
     return _made(MocapNoise, {**block, "hold_out_px": hold_out_px, "smooth": smooth})
 
 
-def _finding(block: Mapping[str, Any]) -> EffectFinding:
+def finding_of(block: Mapping[str, Any]) -> EffectFinding:
+    """An effect as it was written."""
     quantities = tuple(_made(Quantity, quantity) for quantity in block["estimate"])
     moment = None if block["moment"] is None else _made(Moment, block["moment"])
     return _made(EffectFinding, {**block, "estimate": quantities, "moment": moment})
