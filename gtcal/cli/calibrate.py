@@ -159,6 +159,7 @@ def calibrate(
     from gtcal.pose_recordings.recording import holds_poses
     from gtcal.recordings.recording import load_recording
     from gtcal.results.calibration_file import write_calibration
+    from gtcal.several_boards.recording import holds_boards
     from gtcal.workflow import calibrate_jointly
 
     options = CalibrationOptions(
@@ -189,6 +190,10 @@ def calibrate(
     if holds_poses(recording):
         asked = {"priors": priors, "from": from_, "more than one recording": more or None}
         _calibrate_poses(recording, options, output, report, asked, verbose=verbose, quiet=quiet)
+        return
+    if holds_boards(recording):
+        asked = {"priors": priors, "from": from_, "more than one recording": more or None}
+        _calibrate_boards(recording, options, output, report, asked, verbose=verbose, quiet=quiet)
         return
     loaded = [load_recording(path) for path in (recording, *more)]
     earlier = None if from_ is None else _earlier(from_, from_parts, from_days, from_growth)
@@ -246,6 +251,40 @@ def _calibrate_poses(
         _write_pose_report(report, found)
     if not quiet:
         print_pose_calibration(found, notes=loaded.notes, verbose=verbose)
+        print(f"written: {output}" + (f", {report}" if report is not None else ""))
+
+
+def _calibrate_boards(
+    recording: Path,
+    options: CalibrationOptions,
+    output: Path,
+    report: Path | None,
+    asked: Mapping[str, object],
+    *,
+    verbose: bool,
+    quiet: bool,
+) -> None:
+    """Of a recording of several boards. asked: options that it has no use for, None where they are not given."""
+    from gtcal.cli.progress import shown_progress
+    from gtcal.cli.tables import print_calibration
+    from gtcal.errors import GtcalError
+    from gtcal.files import check_outputs
+    from gtcal.results.calibration_file import write_calibration
+    from gtcal.several_boards.calibration import calibrate_boards
+    from gtcal.several_boards.recording import load_boards
+
+    given = [name for name, value in asked.items() if value is not None]
+    if given:
+        raise GtcalError(f"{recording}: is of several boards, which can't be calibrated with {', '.join(given)}")
+    loaded = load_boards(recording)
+    check_outputs((output, report), {file for one in loaded.values() for file in one.files})
+    with shown_progress(quiet) as progress:
+        found = calibrate_boards(loaded, options, progress=progress)
+        if report is not None:
+            _write_report(report, found, next(iter(loaded.values())), progress)
+    write_calibration(output, found)
+    if not quiet:
+        print_calibration(found, notes=[note for one in loaded.values() for note in one.notes], verbose=verbose)
         print(f"written: {output}" + (f", {report}" if report is not None else ""))
 
 

@@ -9,6 +9,7 @@ import tyro
 
 if TYPE_CHECKING:
     from gtcal.progress import Progress
+    from gtcal.recordings.recording import Recording
     from gtcal.results.calibration import Calibration
     from gtcal.verification.lollypop_recording import LollypopRecording
     from gtcal.verification.verification import Verification
@@ -42,7 +43,6 @@ def report(
     from gtcal.cli.progress import shown_progress
     from gtcal.files import check_outputs
     from gtcal.pose_recordings.calibration_file import is_pose_calibration
-    from gtcal.recordings.recording import load_recording
     from gtcal.report import gather_evidence, write_report
     from gtcal.results.calibration_file import read_calibration
     from gtcal.verification.lollypop_recording import load_lollypop_recording
@@ -51,7 +51,7 @@ def report(
         _report_poses(calibration, recording, verification or lollypop, output, quiet=quiet)
         return
     read = read_calibration(calibration)
-    loaded = load_recording(recording) if recording is not None else None
+    loaded = None if recording is None else _main_recording(recording)
     device = load_lollypop_recording(lollypop) if lollypop is not None else None
     files = [path for path in (calibration, verification) if path is not None]
     check_outputs([output], (*files, *(file for source in (loaded, device) if source for file in source.files)))
@@ -61,6 +61,14 @@ def report(
         write_report(output, read, evidence=evidence, verification=verified, progress=progress)
     if not quiet:
         print(f"written: {output}")
+
+
+def _main_recording(path: Path) -> Recording:
+    """The recording, or of several boards that of the first, which a calibration is mainly of."""
+    from gtcal.recordings.recording import load_recording
+    from gtcal.several_boards.recording import holds_boards, load_boards
+
+    return next(iter(load_boards(path).values())) if holds_boards(path) else load_recording(path)
 
 
 def _report_poses(path: Path, recording: Path | None, verified: Path | None, output: Path, *, quiet: bool) -> None:

@@ -97,6 +97,11 @@ def pose_table(calibration: Calibration) -> Table:
     pose = calibration.body_T_board
     sigmas = _largest(pose.position_of_b_in_a_sigma_mm, 3), _largest(pose.rotation_sigma_deg, 4)
     table.add_row("board", vector(1e3 * pose.a_T_b[:3, 3]), "body", *sigmas)
+    for board in calibration.other_boards:
+        pose = board.body_T_board
+        sigmas = _largest(pose.position_of_b_in_a_sigma_mm, 3), _largest(pose.rotation_sigma_deg, 4)
+        where = "mocap's world" if board.capture is Capture.STANDING_BOARD else "its body"
+        table.add_row(f"board {board.name}", vector(1e3 * pose.a_T_b[:3, 3]), where, *sigmas)
     return table
 
 

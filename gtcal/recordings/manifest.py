@@ -370,6 +370,11 @@ def manifest_of(path: Path, data: dict[str, Any]) -> Manifest:
             f"{path}: device: this is a recording of a Lollypop, which verifies a calibration ('gtcal verify'), "
             "not of a board to calibrate from"
         )
+    if "boards" in data:
+        raise GtcalError(
+            f"{path}: boards: this is a recording of several, which 'gtcal calibrate' and 'report' take; for all else "
+            "write a manifest with one of them ('board', 'capture', 'board_body') beside it"
+        )
     _refuse_poses(path, data.get("cameras"))
     manifest = validated(path, data, Manifest)
     try:
