@@ -106,12 +106,12 @@ def prepared(
 
 
 def detected(
-    recording: Recording, *, progress: Progress = silent, redo: bool = False, guided: bool = True
+    recording: Recording, *, progress: Progress = silent, redo: bool = False, guided: bool = True, label: str = ""
 ) -> Recording:
     """The recording with detections for every camera: as the recording gives them, else from the images, which are
     kept beside the recording for the next time. ``redo`` detects in the images wherever there are some. ``guided``:
     where a camera has many images, the mocap and a calibration from some of them say where the board is in the others
-    (``gtcal.guided``); else all are searched."""
+    (``gtcal.guided``); else all are searched. label: of what is kept, where other boards' corners are kept too."""
     missing = [name for name in recording.images if redo or name not in recording.detections]
     if not missing:
         return recording
@@ -122,7 +122,7 @@ def detected(
     found = {
         name: cached_detect(
             folder,
-            name,
+            f"{name}{label}",
             recording.images[name],
             recording.board,
             recording.cameras[name],

@@ -2,18 +2,23 @@
 
 Simulated headset recordings with 0.1 mm and 0.01 deg of mocap noise on every tracked body. First each camera's poses
 are the truth with noise of 0.5 mm and 0.05 deg on each axis: how often the truth lies within the intervals that the
-joint estimate claims, over all unknowns, and the squared error in units of the covariance (NEES) per degree of freedom.
-Then the poses are PnP's, of the corners of the same recording: how far they lead from what the corners themselves lead
-to, in the sigmas of the poses' estimate.
+joint estimate claims, over all unknowns, and the squared error in units of the covariance (NEES) per degree of freedom;
+once with nothing said of that noise, and once with its covariances stated. Then the poses are PnP's, of the corners of
+the same recording: how far they lead from what the corners themselves lead to, in the sigmas of the poses' estimate.
 
-    python scripts/study_poses.py                 # an hour on two cores
+    python scripts/study_poses.py                 # half an hour on two cores
+    python scripts/study_poses.py --keep FOLDER   # in pieces: what was computed of each recording is kept there
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import os
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
 
 import gtsam
 import numpy as np
@@ -23,6 +28,7 @@ from rich.table import Table
 
 from gtcal import CalibrationOptions, calibrate
 from gtcal.baselines.closed_forms import CLOSED_FORMS
+from gtcal.blas import on_one_blas_thread
 from gtcal.estimation.linear import squared_distance
 from gtcal.estimation.observations import synchronise
 from gtcal.estimation.pnp import solve_pnp
@@ -35,6 +41,7 @@ from gtcal.estimation.pose_joint import (
     stage_2_of_poses,
     stage_3_of_poses,
 )
+from gtcal.files import write_text
 from gtcal.pose_recordings.calibration import closed_forms
 from gtcal.simulation import MocapNoise, Simulation, SimulationOptions, simulate
 
@@ -55,6 +62,16 @@ class Outcome:
 
 def of_truth(seed: int) -> Outcome:
     """Poses that are the truth with noise: against the truth."""
+    return _of_truth(seed, stated=False)
+
+
+def of_stated(seed: int) -> Outcome:
+    """... with the covariances of that noise stated."""
+    return _of_truth(seed, stated=True)
+
+
+@on_one_blas_thread
+def _of_truth(seed: int, *, stated: bool) -> Outcome:
     simulation = simulate(SimulationOptions(mocap=MOCAP), seed=seed)
     rng = np.random.default_rng([seed, 11])
     views = {}
@@ -63,10 +80,12 @@ def of_truth(seed: int) -> Outcome:
         true = simulation.scene.camera_T_board(index, simulation.frame_times_s[at])
         noise = rng.normal(size=(len(true), 6)) * CAMERA_SIGMAS
         seen = true @ np.stack([gtsam.Pose3.Expmap(xi).matrix() for xi in noise])
-        views[name] = PoseViews(of_camera.stamps_ns, of_camera.frame_index, of_camera.ref_T_body, seen)
+        covariance = np.tile(np.diag(CAMERA_SIGMAS**2), (len(true), 1, 1)) if stated else None
+        views[name] = PoseViews(of_camera.stamps_ns, of_camera.frame_index, of_camera.ref_T_body, seen, covariance)
     return _outcome(views, solved(views), _truth(simulation))
 
 
+@on_one_blas_thread
 def of_corners(seed: int) -> Outcome:
     """Poses by PnP: against what the corners lead to."""
     simulation = simulate(SimulationOptions(mocap=MOCAP), seed=seed)
@@ -100,6 +119,28 @@ def _outcome(views: dict[str, PoseViews], found: JointPoses, reference: PoseChai
     return Outcome(nees, xi / np.sqrt(np.diag(found.covariance)), methods)
 
 
+COMPARED = {
+    "noisy poses against the truth": of_truth,
+    "the same, covariances stated": of_stated,
+    "PnP's poses against the corners": of_corners,
+}
+
+
+def kept(folder: Path | None, of: Callable[[int], Outcome], seed: int) -> Outcome:
+    """Of one recording, from the folder where it is there."""
+    if folder is None:
+        return of(seed)
+    file = folder / f"{of.__name__}_{seed}.json"
+    if file.is_file():
+        known = json.loads(file.read_text())
+        return Outcome(known["nees"], np.array(known["errors"]), tuple(known["methods_mm"]))
+    found = of(seed)
+    folder.mkdir(parents=True, exist_ok=True)
+    text = json.dumps({"nees": found.nees, "errors": found.errors.tolist(), "methods_mm": found.methods_mm})
+    write_text(file, text)
+    return found
+
+
 def table_of(rows: dict[str, list[Outcome]]) -> Table:
     """A row for each of the two comparisons."""
     table = Table(title="poses in place of corners")
@@ -130,15 +171,16 @@ def main() -> None:
     parser.add_argument("--recordings", type=int, default=100)
     parser.add_argument("--seed", type=int, default=90_000, help="of the first")
     parser.add_argument("--workers", type=int, default=os.cpu_count())
+    parser.add_argument("--keep", type=Path, default=os.environ.get("GTCAL_KEEP"), help="folder for what was computed")
     arguments = parser.parse_args()
     seeds = range(arguments.seed, arguments.seed + arguments.recordings)
     rows = {
-        "noisy poses against the truth": list(in_parallel(of_truth, seeds, arguments.workers, "against the truth")),
-        "PnP's poses against the corners": list(in_parallel(of_corners, seeds, arguments.workers, "against corners")),
+        what: list(in_parallel(partial(kept, arguments.keep, of), seeds, arguments.workers, what))
+        for what, of in COMPARED.items()
     }
     console = Console(width=120)
     console.print(table_of(rows))
-    console.print(methods_of(rows["noisy poses against the truth"]))
+    console.print(methods_of(rows[next(iter(COMPARED))]))
 
 
 if __name__ == "__main__":

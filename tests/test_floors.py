@@ -18,7 +18,7 @@ FLOORS = (
     "gtcal.estimation gtcal.uncertainty gtcal.clock gtcal.detection gtcal.verification gtcal.effects",
     "gtcal.workflow gtcal.steps gtcal.guided gtcal.differences gtcal.doctor gtcal.report gtcal.overview "
     "gtcal.baselines gtcal.selfchecks gtcal.simulation gtcal.convert",
-    "gtcal.pose_recordings gtcal.fleet",
+    "gtcal.pose_recordings gtcal.several_boards gtcal.fleet",
     "gtcal.cli gtcal.presentation gtcal.__main__",
 )
 """From the ground up: a room imports from its own floor and from those below. A new one is to be named here."""

@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from factors import RobustKernel
     from gtcal.differences.carried_over import EarlierCalibration, Part
     from gtcal.estimation.options import CalibrationOptions, IntrinsicsMode, MocapSigmas
+    from gtcal.pose_recordings.calibration import PoseCalibration
     from gtcal.progress import Progress
     from gtcal.recordings.recording import Recording
     from gtcal.results.calibration import Calibration
@@ -161,6 +162,7 @@ def calibrate(
     from gtcal.pose_recordings.recording import holds_poses
     from gtcal.recordings.recording import load_recording
     from gtcal.results.calibration_file import calibration_document, write_calibration
+    from gtcal.several_boards.recording import holds_boards
     from gtcal.workflow import calibrate_jointly
 
     options = CalibrationOptions(
@@ -189,8 +191,12 @@ def calibrate(
         allow_degenerate=allow_degenerate,
     )
     if holds_poses(recording):
-        asked = {"report": report, "priors": priors, "from": from_, "more than one recording": more or None}
-        _calibrate_poses(recording, options, output, asked, json=json, verbose=verbose, quiet=quiet)
+        asked = {"priors": priors, "from": from_, "more than one recording": more or None}
+        _calibrate_poses(recording, options, output, report, asked, json=json, verbose=verbose, quiet=quiet)
+        return
+    if holds_boards(recording):
+        asked = {"priors": priors, "from": from_, "more than one recording": more or None}
+        _calibrate_boards(recording, options, output, report, asked, json=json, verbose=verbose, quiet=quiet)
         return
     loaded = [load_recording(path) for path in (recording, *more)]
     earlier = None if from_ is None else _earlier(from_, from_parts, from_days, from_growth)
@@ -212,6 +218,7 @@ def _calibrate_poses(
     recording: Path,
     options: CalibrationOptions,
     output: Path,
+    report: Path | None,
     asked: Mapping[str, object],
     *,
     json: bool,
@@ -229,11 +236,11 @@ def _calibrate_poses(
     from gtcal.errors import GtcalError
     from gtcal.estimation.options import CalibrationOptions
     from gtcal.files import check_outputs
-    from gtcal.pose_recordings.calibration import calibrate_pose_recording
+    from gtcal.pose_recordings.calibration import OF_POSES, calibrate_pose_recording
     from gtcal.pose_recordings.calibration_file import pose_calibration_document, write_pose_calibration
     from gtcal.pose_recordings.recording import load_pose_recording
 
-    plain, count = CalibrationOptions(), {"seed", "eps", "max_iterations", "allow_degenerate", "priors"}
+    plain, count = CalibrationOptions(), {*OF_POSES, "priors"}
     given = [name for name, value in asked.items() if value is not None]
     given += [
         f.name for f in fields(options) if f.name not in count and getattr(options, f.name) != getattr(plain, f.name)
@@ -243,15 +250,61 @@ def _calibrate_poses(
             f"{recording}: has poses in place of corners, which have no use for {', '.join(given)}: leave it out"
         )
     loaded = load_pose_recording(recording)
-    check_outputs((output,), loaded.files)
+    check_outputs((output, report), loaded.files)
     with shown_progress(quiet) as progress:
         found = calibrate_pose_recording(loaded, options, progress=progress)
     write_pose_calibration(output, found)
+    if report is not None:
+        _write_pose_report(report, found)
     if json:
         print_json(pose_calibration_document(found))
     elif not quiet:
         print_pose_calibration(found, notes=loaded.notes, verbose=verbose)
-        print(f"written: {output}")
+        print(f"written: {output}" + (f", {report}" if report is not None else ""))
+
+
+def _calibrate_boards(
+    recording: Path,
+    options: CalibrationOptions,
+    output: Path,
+    report: Path | None,
+    asked: Mapping[str, object],
+    *,
+    json: bool,
+    verbose: bool,
+    quiet: bool,
+) -> None:
+    """Of a recording of several boards. asked: options that it has no use for, None where they are not given."""
+    from gtcal.cli.json_output import print_json
+    from gtcal.cli.progress import shown_progress
+    from gtcal.cli.tables import print_calibration
+    from gtcal.errors import GtcalError
+    from gtcal.files import check_outputs
+    from gtcal.results.calibration_file import calibration_document, write_calibration
+    from gtcal.several_boards.calibration import calibrate_boards
+    from gtcal.several_boards.recording import load_boards
+
+    given = [name for name, value in asked.items() if value is not None]
+    if given:
+        raise GtcalError(f"{recording}: is of several boards, which can't be calibrated with {', '.join(given)}")
+    loaded = load_boards(recording)
+    check_outputs((output, report), {file for one in loaded.values() for file in one.files})
+    with shown_progress(quiet) as progress:
+        found = calibrate_boards(loaded, options, progress=progress)
+        if report is not None:
+            _write_report(report, found, next(iter(loaded.values())), progress)
+    write_calibration(output, found)
+    if json:
+        print_json(calibration_document(found))
+    elif not quiet:
+        print_calibration(found, notes=[note for one in loaded.values() for note in one.notes], verbose=verbose)
+        print(f"written: {output}" + (f", {report}" if report is not None else ""))
+
+
+def _write_pose_report(path: Path, found: PoseCalibration) -> None:
+    from gtcal.pose_recordings.report import write_pose_report
+
+    write_pose_report(path, found)
 
 
 def _earlier(

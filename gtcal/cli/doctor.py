@@ -28,8 +28,9 @@ def doctor(
     differ, the board's size, gaps and tag order, images mirrored, turned or of another size, the order of the lens's
     coefficients. Then it calibrates, and tells what that warns of: markers and cameras that moved, views that
     contradict the rest, a lens or a board that is not as stated. A recording that can't be read as it stands is read
-    with other lines in its manifest. A recording of the Lollypop is judged by a calibration that is given. Nothing is
-    changed on disk but the corners that are detected in images, which are kept as by 'gtcal calibrate'.
+    with other lines in its manifest. Of poses in place of corners those of the cameras are read otherwise too. A
+    recording of the Lollypop is judged by a calibration that is given. Nothing is changed on disk but the corners that
+    are detected in images, which are kept as by 'gtcal calibrate'.
 
     Exit code: 0 where nothing is wrong, 1 where something is.
 
@@ -46,13 +47,15 @@ def doctor(
     from gtcal.doctor.diagnose import diagnose
     from gtcal.doctor.diagnosis_file import diagnosis_document, write_diagnosis
     from gtcal.files import check_outputs
+    from gtcal.pose_recordings.doctor import diagnose_poses
+    from gtcal.pose_recordings.recording import holds_poses
     from gtcal.recordings.manifest import named_files
 
     if output is not None:
         check_outputs([output], [*named_files(recording), *([calibration] if calibration is not None else [])])
     with shown_progress(quiet) as progress:
         found = (
-            diagnose(recording, progress=progress)
+            (diagnose_poses if holds_poses(recording) else diagnose)(recording, progress=progress)
             if calibration is None
             else _lollypop(recording, calibration, progress)
         )

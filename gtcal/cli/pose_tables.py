@@ -9,14 +9,15 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from gtcal.cli.tables import new_table, stage_table, vector
+from gtcal.cli.tables import effect_table, new_table, stage_table, vector
 from gtcal.cli.terminal import Terminal
 from gtcal.pose_recordings.calibration import ClosedForm, PoseCalibration
 from gtcal.results.calibration import PoseEstimate
 
 
 def print_pose_calibration(calibration: PoseCalibration, *, notes: Sequence[str] = (), verbose: bool = False) -> None:
-    """Print fit, poses, closed forms and warnings; ``verbose`` adds the stages and what was left out."""
+    """Print fit, poses, closed forms, effects and warnings; ``verbose`` adds the stages, what was left out, and the
+    effects that the poses do not want."""
     Terminal().print(Group(*pose_calibration_parts(calibration, notes=notes, verbose=verbose)))
 
 
@@ -28,6 +29,10 @@ def pose_calibration_parts(
     if verbose:
         parts.append(stage_table(calibration.stages))
         parts += [Text(f"left out of {d.camera}: {d.n_views} views: {d.reason}") for d in calibration.dropped]
+    shown = [finding for finding in calibration.effects if finding.significant or verbose]
+    parts += [effect_table(shown, "sigmas")] if shown else []
+    if calibration.clock is not None and calibration.clock.corrected:
+        parts.append(Text(f"clock: {calibration.clock.statement} added to the cameras' stamps"))
     parts += [Text(f"note: {note}", style="cyan") for note in notes]
     return [*parts, *(Text(f"warning: {warning}", style="yellow") for warning in calibration.warnings)]
 

@@ -9,6 +9,7 @@ import tyro
 
 if TYPE_CHECKING:
     from gtcal.progress import Progress
+    from gtcal.recordings.recording import Recording
     from gtcal.results.calibration import Calibration
     from gtcal.verification.lollypop_recording import LollypopRecording
     from gtcal.verification.verification import Verification
@@ -27,7 +28,8 @@ def report(
 
     With the recording it was computed from: residuals over the image, the field angle and time, the image's coverage
     and the board's poses in 3-D. With another recording of the same rig and board, the same as hold-out errors. With a
-    verification: the verdict first, and heat maps; with the Lollypop's recording also its worst frames.
+    verification: the verdict first, and heat maps; with the Lollypop's recording also its worst frames. Of a
+    calibration from poses in place of corners: residuals in mm and deg by camera, time and distance.
 
     Args:
         calibration: calibration.json.
@@ -40,13 +42,16 @@ def report(
     """
     from gtcal.cli.progress import shown_progress
     from gtcal.files import check_outputs
-    from gtcal.recordings.recording import load_recording
+    from gtcal.pose_recordings.calibration_file import is_pose_calibration
     from gtcal.report import gather_evidence, write_report
     from gtcal.results.calibration_file import read_calibration
     from gtcal.verification.lollypop_recording import load_lollypop_recording
 
+    if is_pose_calibration(calibration):
+        _report_poses(calibration, recording, verification or lollypop, output, quiet=quiet)
+        return
     read = read_calibration(calibration)
-    loaded = load_recording(recording) if recording is not None else None
+    loaded = None if recording is None else _main_recording(recording)
     device = load_lollypop_recording(lollypop) if lollypop is not None else None
     files = [path for path in (calibration, verification) if path is not None]
     check_outputs([output], (*files, *(file for source in (loaded, device) if source for file in source.files)))
@@ -54,6 +59,31 @@ def report(
         verified = _verification(calibration, read, verification, device, progress)
         evidence = gather_evidence(read, loaded, progress=progress) if loaded is not None else None
         write_report(output, read, evidence=evidence, verification=verified, progress=progress)
+    if not quiet:
+        print(f"written: {output}")
+
+
+def _main_recording(path: Path) -> Recording:
+    """The recording, or of several boards that of the first, which a calibration is mainly of."""
+    from gtcal.recordings.recording import load_recording
+    from gtcal.several_boards.recording import holds_boards, load_boards
+
+    return next(iter(load_boards(path).values())) if holds_boards(path) else load_recording(path)
+
+
+def _report_poses(path: Path, recording: Path | None, verified: Path | None, output: Path, *, quiet: bool) -> None:
+    from gtcal.errors import GtcalError
+    from gtcal.files import check_outputs
+    from gtcal.pose_recordings.calibration_file import read_pose_calibration
+    from gtcal.pose_recordings.recording import load_pose_recording
+    from gtcal.pose_recordings.report import write_pose_report
+
+    if verified is not None:
+        raise GtcalError(f"{path}: is a calibration from poses, without lenses: {verified} can't be seen through it")
+    read = read_pose_calibration(path)
+    loaded = load_pose_recording(recording) if recording is not None else None
+    check_outputs([output], (path, *(loaded.files if loaded is not None else ())))
+    write_pose_report(output, read, loaded)
     if not quiet:
         print(f"written: {output}")
 

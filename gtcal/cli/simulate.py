@@ -23,6 +23,7 @@ def simulate(
     rig: RigName = "headset",
     capture: CaptureName | None = None,
     board: str = "paper_a2",
+    boards: int = 1,
     seed: int = 0,
     frames: int = 80,
     duration_s: float = 60.0,
@@ -67,6 +68,7 @@ def simulate(
             stands still. 'fixed_cameras': the board; the cameras stand still. By default what suits the rig.
         board: 'paper_a2', 'chessboard' or 'dots' (see 'gtcal board'), or a YAML file with a board block as in a
             recording's manifest.
+        boards: So many of them at once, each tracked, with tags of its own.
         seed: Decides everything random.
         frames: Frames per camera, evenly spread over the duration.
         duration_s: Length of the recording.
@@ -134,6 +136,14 @@ def simulate(
         intrinsics=intrinsics,
     )
     check_outputs([output], [Path(board)] if is_there(Path(board)) else (), folders=True)
+    if boards != 1:
+        if boards < 1 or images or lollypop or take != 1 or fault != "none" or mocap_format != "euroc_csv":
+            raise GtcalError(
+                "--boards: two or more are simulated as corners, as the first take and with mocap CSVs: leave "
+                "--images, --lollypop, --take, --fault and --mocap-format out"
+            )
+        _simulate_boards(options, boards, output, seed=seed, quiet=quiet)
+        return
     sizes = fault_mm, fault_deg, fault_percent
     if lollypop:
         happened = _fault(options, fault, fault_camera, *sizes, seed)
@@ -152,6 +162,19 @@ def simulate(
         manifest = write_simulation(simulation, output, images=images, mocap_format=mocap_format, progress=progress)
     if not quiet:
         print(f"{manifest}: {frames} frames of {len(cameras.cameras)} cameras; the truth is in ground_truth.json")
+
+
+def _simulate_boards(options: SimulationOptions, boards: int, output: Path, *, seed: int, quiet: bool) -> None:
+    from gtcal.several_boards.recording import write_boards
+    from gtcal.simulation.several import boards_like, simulate_boards, write_truth_of_boards
+    from gtcal.simulation.writing import check_empty
+
+    simulations = simulate_boards(options, boards_like(options.board, boards), seed=seed)
+    check_empty(output)
+    write_truth_of_boards(simulations, output)
+    manifest = write_boards({name: one.recording for name, one in simulations.items()}, output)
+    if not quiet:
+        print(f"{manifest}: {options.n_frames} frames of {boards} boards; the truth is in ground_truth.json")
 
 
 def _simulate_lollypop(

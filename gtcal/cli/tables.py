@@ -100,6 +100,11 @@ def pose_table(calibration: Calibration) -> Table:
     pose = calibration.body_T_board
     sigmas = _largest(pose.position_of_b_in_a_sigma_mm, 3), _largest(pose.rotation_sigma_deg, 4)
     table.add_row("board", vector(1e3 * pose.a_T_b[:3, 3]), "body", *sigmas)
+    for board in calibration.other_boards:
+        pose = board.body_T_board
+        sigmas = _largest(pose.position_of_b_in_a_sigma_mm, 3), _largest(pose.rotation_sigma_deg, 4)
+        where = "mocap's world" if board.capture is Capture.STANDING_BOARD else "its body"
+        table.add_row(f"board {board.name}", vector(1e3 * pose.a_T_b[:3, 3]), where, *sigmas)
     return table
 
 
@@ -169,14 +174,14 @@ def shape_table(found: BoardShape) -> Table:
     return table
 
 
-def effect_table(findings: Sequence[EffectFinding]) -> Table:
-    """A row per effect that the model leaves out, those that move a camera most first."""
+def effect_table(findings: Sequence[EffectFinding], unit: str = "px") -> Table:
+    """A row per effect that the model leaves out, those that move a camera most first. unit: of hold-out errors."""
     table = new_table(
         "what else the data want",
         caption="chance: allowing for all that was tried; hold-out: by how much the error of unseen frames falls; "
         "cameras: how far they would move, at most",
     )
-    for heading in ("size", "when, s", "chance", "hold-out, px", "cameras, mm", "deg"):
+    for heading in ("size", "when, s", "chance", f"hold-out, {unit}", "cameras, mm", "deg"):
         table.add_column(heading, justify="left" if heading == "size" else "right")
     for finding in findings:
         table.add_row(

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from typing import Protocol
 
 import numpy as np
 
@@ -25,6 +26,7 @@ from gtcal.estimation.mocap_noise import MocapNoiseModel, lower_factors
 from gtcal.estimation.observations import Views
 from gtcal.estimation.options import CalibrationOptions, MocapSigmas
 from gtcal.recordings.capture import RefMotion
+from gtcal.recordings.detections import IntArray
 from gtcal.results.calibration import Calibration, MocapNoise
 
 
@@ -134,7 +136,14 @@ def _with_columns(frames: FrameMoments, plus: list[FrameMoments], minus: list[Fr
     return replace(frames, moments=moments)
 
 
-def middle_ns(views: Mapping[str, Views]) -> int:
+class Stamped(Protocol):
+    """What was seen at some times, increasing."""
+
+    @property
+    def stamps_ns(self) -> IntArray: ...
+
+
+def middle_ns(views: Mapping[str, Stamped]) -> int:
     """The middle of the views' times, whole ms."""
     first, last = (pick(int(v.stamps_ns[i]) for v in views.values()) for pick, i in ((min, 0), (max, -1)))
     return (first + last) // 2_000_000 * 1_000_000

@@ -311,7 +311,7 @@ class Patient:
             return
         self._add(
             Mended(
-                shifted(self.recording, shift_s), _clock_finding(shift_s, np.inf, fit.misfit_mm, self._body_offsets_ns)
+                shifted(self.recording, shift_s), clock_finding(shift_s, np.inf, fit.misfit_mm, self._body_offsets_ns)
             )
         )
 
@@ -485,7 +485,7 @@ class Patient:
             found = search.shifted(motion, stated)
             if found.shift_s == 0.0 or not found.fit.angle_rad <= CONVINCING_NUMBER * stated.angle_rad:
                 continue
-            finding = _clock_finding(found.shift_s, stated.misfit_mm, found.fit.misfit_mm, {}, name)
+            finding = clock_finding(found.shift_s, stated.misfit_mm, found.fit.misfit_mm, {}, name)
             self._add(Mended(shifted(self.recording, found.shift_s, (name,)), finding))
 
     def _note_what_cannot_be_told(self) -> None:
@@ -521,19 +521,19 @@ def _mirrored(recording: Recording, cameras: tuple[str, ...], axis: int) -> Reco
 def _shift_part(shift_s: float, body_offsets_ns: Mapping[str, int]) -> _Part:
     return _Part(
         lambda recording: shifted(recording, shift_s),
-        lambda before, after: _clock_finding(shift_s, before, after, body_offsets_ns),
+        lambda before, after: clock_finding(shift_s, before, after, body_offsets_ns),
     )
 
 
-def _clock_finding(
+def clock_finding(
     shift_s: float,
     before_mm: float,
     after_mm: float,
     body_offsets_ns: Mapping[str, int],
     camera: str | None = None,
 ) -> Finding:
-    """body_offsets_ns: what the manifest adds to each body's stamps; the mocap's put earlier are the cameras' put
-    later."""
+    """A clock that is off. body_offsets_ns: what the manifest adds to each body's stamps; the mocap's put earlier are
+    the cameras' put later."""
     whose = f"the clock of {camera}" if camera else "the cameras' clock"
     stamps = f"the time stamps of {camera}" if camera else "the time stamps of all cameras"
     says = f"{whose} is {abs(shift_s):.3f} s {'behind' if shift_s > 0 else 'ahead of'} the mocap's"

@@ -40,7 +40,7 @@ class MocapReading:
 
 
 @dataclass(frozen=True)
-class _Suspicion:
+class Suspicion:
     """Another reading of one trajectory. says, line, advice: with {body} for its name."""
 
     fault: str
@@ -88,14 +88,14 @@ def _mirrored_positions(world_T_body: FloatArray) -> FloatArray:
 
 _RIGHT_HANDED = "export {body} in right-handed coordinates: a manifest can't say left-handed"
 
-_SUSPICIONS = (
-    _Suspicion(
+SUSPICIONS = (
+    Suspicion(
         "quaternion order", "the quaternions of {body} are in the order wxyz", "{body}.quaternion: wxyz", "", _as_wxyz
     ),
-    _Suspicion(
+    Suspicion(
         "quaternion order", "the quaternions of {body} are in the order xyzw", "{body}.quaternion: xyzw", "", _as_xyzw
     ),
-    _Suspicion(
+    Suspicion(
         "inverse poses",
         "the poses of {body} are the inverse of what was said",
         f"{{body}}.pose: {INVERSE}",
@@ -103,13 +103,13 @@ _SUSPICIONS = (
         inverse,
     ),
     *(
-        _Suspicion(
+        Suspicion(
             "units", f"the positions of {{body}} are in {unit}", f"{{body}}.length_unit: {unit}", "", _scaled(k), k
         )
         for k, unit in _UNITS.items()
     ),
     *(
-        _Suspicion(
+        Suspicion(
             "units",
             f"the positions of {{body}} are in {unit}",
             "",
@@ -119,21 +119,21 @@ _SUSPICIONS = (
         )
         for k, unit in _OTHER_UNITS.items()
     ),
-    _Suspicion(
+    Suspicion(
         "handedness",
         "the poses of {body} come from a left-handed export, or one of its axes is mirrored",
         "",
         _RIGHT_HANDED,
         _mirrored,
     ),
-    _Suspicion(
+    Suspicion(
         "conjugate rotations",
         "the rotations of {body} are those of the world in the body, while its positions are in the world",
         "",
         "export {body} with the body's rotation in the world: a manifest can't say otherwise",
         _conjugate,
     ),
-    _Suspicion(
+    Suspicion(
         "handedness",
         "one axis of the positions of {body} is mirrored, but not of its rotations",
         "",
@@ -159,7 +159,7 @@ def mocap_readings(motion: RefMotion) -> Iterator[MocapReading]:
     if len(names) == 2 and swap_first:
         yield swap
     for size in range(1, len(names) + 1):
-        for suspicion in _SUSPICIONS:
+        for suspicion in SUSPICIONS:
             for bodies in combinations(names, size):
                 yield _reading(suspicion, bodies)
     if len(names) == 2 and not swap_first:
@@ -201,7 +201,7 @@ def stands_still(trajectory: Trajectory) -> bool:
     return bool(np.quantile(turns_rad, _NEARLY_ALL) < _STILL_RAD and np.quantile(moves_m, _NEARLY_ALL) < _STILL_M)
 
 
-def _reading(suspicion: _Suspicion, bodies: tuple[str, ...]) -> MocapReading:
+def _reading(suspicion: Suspicion, bodies: tuple[str, ...]) -> MocapReading:
     def each(text: str) -> tuple[str, ...]:
         return tuple(text.format(body=body) for body in bodies) if text else ()
 

@@ -112,9 +112,10 @@ def _camera(frames: Frames, name: str) -> Part:
     columns[frames.columns_of_camera(name)] = np.eye(6)
     camera_T_ref = frames.estimate.camera_T_ref[name]
     position_m = -camera_T_ref[:3, :3].T @ camera_T_ref[:3, 3]
-    lens = np.zeros((frames.n_columns, 2))
-    centre = frames.columns_of_theta(name).start + 2
-    if centre not in frames.free:
+    of_lens = frames.columns_of_theta(name)
+    lens = np.zeros((frames.n_columns, 2 if of_lens.stop > of_lens.start else 0))
+    centre = of_lens.start + 2
+    if lens.size and centre not in frames.free:
         lens[[centre, centre + 1], [0, 1]] = 1.0
     return Part(name, True, columns, lens, frames.seen[name], position_m)
 

@@ -92,21 +92,19 @@ def find_effects(
     """All effects; ``more``: the caller's own."""
     nothing = FoundEffects((), (), np.zeros((0, 0)))
     try:
-        return _found(calibration, observations, options, more) or nothing
+        frames = frames_of(calibration, observations, options)
+        return nothing if frames is None else effects_in(frames, (*lasting_effects(frames, options), *more))
     except np.linalg.LinAlgError:  # a direction that the data leave open, which other warnings name
         return nothing
 
 
-def _found(
-    calibration: Calibration, observations: Observations, options: CalibrationOptions, more: Sequence[Effect]
-) -> FoundEffects | None:
-    frames = frames_of(calibration, observations, options)
-    if frames is None:
-        return None
+def effects_in(frames: Frames, lasting: Sequence[Effect]) -> FoundEffects:
+    """What moved at some time, and these effects that hold all the time.
+
+    Raises numpy.linalg.LinAlgError where the frames leave a direction open."""
     changes: tuple[ChangePoint, ...] = ()
     if not frames.motion.numbered:  # else there is no time at which something could have changed
         frames, changes = find_changes(frames, level=0.5 * FALSE_ALARMS)
-    lasting = (*lasting_effects(frames, options), *more)
     effects: list[Effect] = [*changes, *map(LensAfter, changes), *lasting]
     tests = {index: 2.0 * change.tests for index, change in enumerate(changes)}
     tests |= {index: 2.0 * len(lasting) for index in range(2 * len(changes), len(effects))}
@@ -117,7 +115,7 @@ def _found(
         is_change = index < len(changes)
         given = others_of(index, len(changes)) if is_change else [other for other in let_in if other != index]
         evidence = sums.evidence(index, given, from_stated=is_change)
-        finding = _finding(effects[index], evidence, calibration.estimate, count)
+        finding = _finding(effects[index], evidence, frames.estimate, count)
         if finding.is_finite:
             found.append(finding)
             left_out += [evidence.shift] if finding.significant else []

@@ -37,9 +37,11 @@ class Frames:
         quadratic form of the columns that holds for whatever is a linear image of them, A_f's too.
     free: the columns (of D) that the calibration solved for. information: (F + 1, F + 1) of its priors.
     seen: by camera, (n,) whether it saw the board. cluster: (n,) which stretch of time a frame is in.
+    theta_sizes: by camera, the number of its intrinsics' columns.
     views: those that the moments are of."""
 
-    views: dict[str, Views]
+    views: Mapping[str, Views]
+    theta_sizes: dict[str, int]
     motion: RefMotion
     estimate: Estimate
     stamps_ns: IntArray
@@ -62,7 +64,7 @@ class Frames:
 
     @property
     def cameras(self) -> tuple[str, ...]:
-        return tuple(self.views)
+        return tuple(self.theta_sizes)
 
     @property
     def ref_T_body(self) -> FloatArray:
@@ -75,7 +77,7 @@ class Frames:
         return slice(start, start + 6)
 
     def columns_of_theta(self, name: str) -> slice:
-        sizes = [of_camera.camera.model.n_parameters for of_camera in self.views.values()]
+        sizes = list(self.theta_sizes.values())
         index = self.cameras.index(name)
         start = 12 + 6 * len(sizes) + sum(sizes[:index])
         return slice(start, start + sizes[index])
@@ -117,11 +119,12 @@ class Frames:
         frames = _chosen(views)
         raw = frame_moments(views, estimate, sigma_px=1.0, free_theta=True, free_shape=True, frames=frames)
         raw = raw.whitened_by(options.sigma_px or max(raw.pixel_sigma_px, 1e-6))
-        cluster = _clusters(len(frames))
+        cluster = clusters(len(frames))
         if cluster[-1] < 9:
             return None
         return Frames(
             views=views,
+            theta_sizes={name: of_camera.camera.model.n_parameters for name, of_camera in views.items()},
             motion=observations.motion,
             estimate=estimate,
             stamps_ns=raw.stamps_ns,
@@ -159,7 +162,7 @@ def _n_corners(views: Mapping[str, Views], frames: IntArray) -> int:
     )
 
 
-def _clusters(n: int) -> IntArray:
+def clusters(n: int) -> IntArray:
     """(n,) stretches of neighbouring frames, within which they may scatter together."""
     count = max(min(_CLUSTERS, n // _FEWEST_OF_A_CLUSTER), 1)
     return np.arange(n) * count // n

@@ -34,9 +34,10 @@ def _kept(views: Views, estimate: Estimate) -> Views:
     return views if keep.all() else select_corners(views, keep)
 
 
-def isolated(lengths_px: FloatArray) -> BoolArray:
-    """(V,) which views' residuals, in order of time, are gross beside those of the views about them."""
-    window = min(NEIGHBOURS, len(lengths_px))
-    medians = np.median(sliding_window_view(lengths_px, window), axis=1)
-    first = np.clip(np.arange(len(lengths_px)) - window // 2, 0, len(medians) - 1)
-    return np.asarray((lengths_px > np.maximum(VIEW_GATE * medians[first], FLOOR_PX)) | ~np.isfinite(lengths_px))
+def isolated(lengths: FloatArray, floor: float = FLOOR_PX) -> BoolArray:
+    """(V,) which views' residuals, in order of time, are gross beside those of the views about them. floor: a length
+    that no view is gross under."""
+    window = min(NEIGHBOURS, len(lengths))
+    medians = np.median(sliding_window_view(lengths, window), axis=1)
+    first = np.clip(np.arange(len(lengths)) - window // 2, 0, len(medians) - 1)
+    return np.asarray((lengths > np.maximum(VIEW_GATE * medians[first], floor)) | ~np.isfinite(lengths))

@@ -23,6 +23,11 @@ def joint_information(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, k
 
 def shared_information(linear: gtsam.GaussianFactorGraph, keys: list[int]) -> FloatArray:
     """``joint_information`` of a linear graph."""
+    return shared_normal_equations(linear, keys)[0]
+
+
+def shared_normal_equations(linear: gtsam.GaussianFactorGraph, keys: list[int]) -> tuple[FloatArray, FloatArray]:
+    """``shared_information``, and (P,) minus the gradient."""
     others = _ordering(sorted(set(linear.keyVector()) - set(keys)))
     if others.size():
         try:
@@ -31,7 +36,8 @@ def shared_information(linear: gtsam.GaussianFactorGraph, keys: list[int]) -> Fl
             raise GtcalError(
                 "the poses of single frames are open, so nothing can be said of the rest: is the mocap's prior missing?"
             ) from error
-    return np.asarray(linear.hessian(_ordering(keys))[0])
+    information, descent = linear.hessian(_ordering(keys))
+    return np.asarray(information), np.asarray(descent)
 
 
 def covariance_of(information: FloatArray) -> FloatArray | None:

@@ -9,7 +9,7 @@ Rubin 1977; of Student's t Lange, Little and Taylor 1989)."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -37,8 +37,10 @@ from gtcal.estimation.procrustes import alignment_sums
 from gtcal.recordings.detections import IntArray
 
 _ROUNDS, _SETTLED = 30, 1e-2
-_FREE_IN_COVARIANCE = 7.0
-"""By so many views fewer an unknown (6, 6) covariance makes the estimate less sure: E(S^-1) of a Wishart matrix."""
+_FREE_IN_COVARIANCE = 13.0
+"""By so many views fewer an unknown (6, 6) covariance S makes the estimate less sure: seven, for E(S^-1) of a Wishart
+matrix is too large by as much, and six, for an estimate that is weighed by S scatters more (Rao 1967, of growth curves;
+confirmed by scripts/study_poses.py)."""
 
 _SHARED = 1.2
 """Views per frame from which the mocap's noise is told from the cameras'."""
@@ -86,6 +88,11 @@ class PoseChain:
 
     camera_T_ref: Mapping[str, FloatArray]
     body_T_board: FloatArray
+
+    def is_same(self, other: PoseChain) -> bool:
+        """To the last bit."""
+        pairs = [(pose, other.camera_T_ref[name]) for name, pose in self.camera_T_ref.items()]
+        return all(np.array_equal(a, b) for a, b in ((self.body_T_board, other.body_T_board), *pairs))
 
     def residuals(self, views: Mapping[str, PoseViews]) -> dict[str, FloatArray]:
         """(V, 6) by camera: a rotation about the board's axes, a shift along the camera's, in rad and m."""
@@ -144,13 +151,18 @@ def stage_2_of_poses(
 
 
 def stage_3_of_poses(
-    views: Mapping[str, PoseViews], start: PoseChain, *, eps: float, max_iterations: int
+    views: Mapping[str, PoseViews],
+    start: PoseChain,
+    *,
+    eps: float,
+    max_iterations: int,
+    tails: Sequence[float] = TAILS,
 ) -> JointPoses:
-    """By the tail that explains the views best.
+    """By the one of these tails, increasing, that explains the views best.
 
     Raises numpy.linalg.LinAlgError where the poses leave a direction open."""
-    best = _Expectation(views, TAILS[-1], eps, max_iterations).settled(start)
-    for tail in reversed(TAILS[:-1]):  # each from the one before; heavier ones as long as they explain more
+    best = _Expectation(views, tails[-1], eps, max_iterations).settled(start)
+    for tail in reversed(tails[:-1]):  # each from the one before; heavier ones as long as they explain more
         found = _Expectation(views, tail, eps, max_iterations).settled(best.chain, best)
         if found.minus_log_likelihood >= best.minus_log_likelihood:
             break
@@ -194,6 +206,7 @@ class _Expectation:
         self.frame_of = {name: np.searchsorted(frames, v.frame_index) for name, v in views.items()}
         self.n_frames, self.n_views = len(frames), sum(v.n_views for v in views.values())
         self.size = 6 + 6 * len(views)
+        self._last: tuple[PoseChain, dict[str, tuple[FloatArray, FloatArray]]] | None = None
         self.shares_frames = len(views) > 1 and self.n_views > _SHARED * self.n_frames
 
     def settled(self, start: PoseChain, other: JointPoses | None = None) -> JointPoses:
@@ -227,16 +240,21 @@ class _Expectation:
     @property
     def _less_sure(self) -> float:
         """By how much the estimate's covariance is larger than if the noise's were known."""
-        counts = [v.n_views + SHRUNK_BY for v in self.views.values() if v.covariance is None]
-        counts += [float(self.n_frames)] if self.shares_frames else []
-        n = float(np.mean(counts)) if counts else np.inf
-        return 1.0 / (1.0 - min(_FREE_IN_COVARIANCE / n, 0.9))
+        lost = [
+            _FREE_IN_COVARIANCE / (v.n_views + SHRUNK_BY) if v.covariance is None else 0.0 for v in self.views.values()
+        ]
+        lost += [_FREE_IN_COVARIANCE / self.n_frames] if self.shares_frames else []
+        return 1.0 / (1.0 - min(float(np.mean(lost)), 0.9))
+
+    def _rows(self, chain: PoseChain) -> dict[str, tuple[FloatArray, FloatArray]]:
+        """By camera the residuals and their derivatives, once for a chain."""
+        if self._last is None or not self._last[0].is_same(chain):
+            poses = chain.camera_T_ref
+            self._last = chain, {name: v.residuals(poses[name], chain.body_T_board) for name, v in self.views.items()}
+        return self._last[1]
 
     def _first_noise(self, chain: PoseChain) -> _Noise:
-        scatter = {
-            name: robust_covariance(v.residuals(chain.camera_T_ref[name], chain.body_T_board)[0])
-            for name, v in self.views.items()
-        }
+        scatter = {name: robust_covariance(r) for name, (r, _) in self._rows(chain).items()}
         if not self.shares_frames:
             return _Noise(scatter, None)
         unit = [C for name, C in scatter.items() if self.views[name].covariance is None]
@@ -249,24 +267,31 @@ class _Expectation:
     def _graph(self, noise: _Noise, weights: Mapping[str, FloatArray]) -> gtsam.NonlinearFactorGraph:
         keys = [BODY_T_BOARD, *map(camera_T_ref_key, range(len(self.views)))]
 
+        known: list[tuple[PoseChain, FloatArray]] = []  # at one place the error is asked for, then the derivatives
+
         def moments(values: gtsam.Values) -> FloatArray:
-            return self._sums(_chain(self.views, values), noise, weights).moments
+            chain = _chain(self.views, values)
+            if not known or not known[0][0].is_same(chain):
+                known[:] = [(chain, self._sums(chain, noise, weights).moments)]
+            return known[0][1]
 
         graph = gtsam.NonlinearFactorGraph()
         graph.add(MarginalFactor(keys, [6] * len(keys), moments))
         return graph
 
     def _sums(self, chain: PoseChain, noise: _Noise, weights: Mapping[str, FloatArray]) -> _Sums:
-        of_frames = np.zeros((self.n_frames, self.size + 7, self.size + 7))
-        for index, (name, v) in enumerate(self.views.items()):
-            r, J = v.residuals(chain.camera_T_ref[name], chain.body_T_board)
+        total = np.zeros((self.size + 1, self.size + 1))
+        mixed = np.zeros((self.n_frames, self.size + 1, 6))
+        for index, (name, (r, J)) in enumerate(self._rows(chain).items()):
             whiten = np.linalg.inv(np.linalg.cholesky(noise.covariances[name]))
-            columns = np.zeros((v.n_views, 6, self.size + 7))
-            columns[:, :, :6], columns[:, :, 6 + 6 * index : 12 + 6 * index] = J[:, :, 6:], J[:, :, :6]
-            columns[:, :, self.size], columns[:, :, self.size + 1 :] = r, J[:, :, 6:]
-            columns = np.sqrt(weights[name])[:, None, None] * (whiten @ columns)
-            of_frames[self.frame_of[name]] += np.swapaxes(columns, 1, 2) @ columns  # one view of a frame
-        return _Sums(of_frames, noise.mocap)
+            rows = np.sqrt(weights[name])[:, None, None] * (whiten @ np.concatenate([J, r[:, :, None]], axis=2))
+            columns = np.array([*range(6 + 6 * index, 12 + 6 * index), *range(6), self.size])
+            flat = rows.reshape(-1, 13)
+            total[columns[:, None], columns] += flat.T @ flat
+            if noise.mocap is not None:  # which acts as X does
+                frame = self.frame_of[name]  # a camera has one view of a frame
+                mixed[frame[:, None], columns] += np.swapaxes(rows, 1, 2) @ rows[:, :, 6:12]
+        return _Sums(total, mixed, noise.mocap)
 
     def _weights(self, chain: PoseChain, noise: _Noise) -> dict[str, FloatArray]:
         """Of each view by what is left of it once the mocap's part is taken away."""
@@ -276,11 +301,10 @@ class _Expectation:
     def _left(self, chain: PoseChain, noise: _Noise, weights: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
         """(V, 6) by camera the residuals less the mocap's part."""
         moved = self._sums(chain, noise, weights).moved
-        left = {}
-        for name, v in self.views.items():
-            r, J = v.residuals(chain.camera_T_ref[name], chain.body_T_board)
-            left[name] = r - np.einsum("vij,vj->vi", J[:, :, 6:], moved[self.frame_of[name]])
-        return left
+        return {
+            name: r - np.einsum("vij,vj->vi", J[:, :, 6:], moved[self.frame_of[name]])
+            for name, (r, J) in self._rows(chain).items()
+        }
 
     def _noise(self, chain: PoseChain, noise: _Noise, weights: Mapping[str, FloatArray]) -> _Noise:
         """What the residuals say of it: the mocap's part by what is expected of it, and how unsure that is."""
@@ -288,7 +312,7 @@ class _Expectation:
         left, enlarged = self._left(chain, noise, weights), self.n_views / max(self.n_views - len(self.views) - 1, 1)
         covariances = {}
         for name, v in self.views.items():
-            J_X = v.residuals(chain.camera_T_ref[name], chain.body_T_board)[1][:, :, 6:]
+            J_X = self._rows(chain)[name][1][:, :, 6:]
             unsure = J_X @ sums.unsure[self.frame_of[name]] @ np.swapaxes(J_X, 1, 2)
             w, e = weights[name], left[name]
             scatter = enlarged * ((e.T * w) @ e + np.einsum("v,vij->ij", w, unsure)) / v.n_views
@@ -307,30 +331,34 @@ class _Expectation:
 
 @dataclass(frozen=True)
 class _Sums:
-    """of_frames: (F, P + 7, P + 7) of [J r K]^T [J r K], whitened by the cameras' noise: J by X and every Y_c, r the
-    residual, K by the mocap's part b. mocap: (6, 6) covariance of b, None where it is nil."""
+    """[J r K]^T [J r K], whitened by the cameras' noise: J by X and every Y_c, r the residual, K by the mocap's part b
+    of a frame. total: (P + 1, P + 1) of J and r, all frames. mixed: (F, P + 1, 6) of J and r with K, whose first rows
+    are those of K itself. mocap: (6, 6) covariance of b, None where it is nil."""
 
-    of_frames: FloatArray
+    total: FloatArray
+    mixed: FloatArray
     mocap: FloatArray | None
 
     @cached_property
     def unsure(self) -> FloatArray:
         """(F, 6, 6) covariance of each frame's b, given its views."""
         if self.mocap is None:
-            return np.zeros((len(self.of_frames), 6, 6))
-        return np.asarray(np.linalg.inv(self.of_frames[:, -6:, -6:] + scaled_inverse(self.mocap)))
+            return np.zeros((len(self.mixed), 6, 6))
+        return np.asarray(np.linalg.inv(self.mixed[:, :6] + scaled_inverse(self.mocap)))
 
     @property
     def moved(self) -> FloatArray:
         """(F, 6) what is expected of b."""
-        return np.asarray(np.einsum("fij,fj->fi", self.unsure, self.of_frames[:, -6:, -7]))
+        return np.asarray(np.einsum("fij,fj->fi", self.unsure, self.mixed[:, -1]))
 
     @property
     def moments(self) -> FloatArray:
         """(P + 1, P + 1) of J and r, b integrated out."""
-        mixed = self.of_frames[:, :-6, -6:]
-        taken = np.tensordot(mixed @ self.unsure, mixed, axes=((0, 2), (0, 2)))
-        return np.asarray(self.of_frames[:, :-6, :-6].sum(axis=0) - taken)
+        if self.mocap is None:
+            return self.total
+        n = self.mixed.shape[1]
+        known = np.swapaxes(self.mixed @ self.unsure, 1, 2).reshape(-1, n)
+        return np.asarray(self.total - known.T @ np.swapaxes(self.mixed, 1, 2).reshape(-1, n))
 
 
 def differences(one: PoseChain, other: PoseChain) -> FloatArray:

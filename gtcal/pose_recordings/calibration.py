@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from gtcal.baselines.closed_forms import CLOSED_FORMS
 from gtcal.baselines.pose_pairs import PosePairs
 from gtcal.blas import on_one_blas_thread
 from gtcal.camera import FloatArray
+from gtcal.effects.find import FoundEffects, effect_warnings
 from gtcal.errors import GtcalError
 from gtcal.estimation.linear import squared_distance
 from gtcal.estimation.motion import check_turning, turning
@@ -27,15 +28,21 @@ from gtcal.estimation.pose_joint import (
     stage_2_of_poses,
     stage_3_of_poses,
 )
+from gtcal.pose_recordings.clock import tested_pose_clock, with_pose_clock
+from gtcal.pose_recordings.effects import find_pose_effects
 from gtcal.pose_recordings.recording import PoseRecording
 from gtcal.progress import Progress, silent
-from gtcal.recordings.capture import Capture
-from gtcal.results.calibration import PoseEstimate, Provenance, StageReport, pose_difference
+from gtcal.recordings.capture import Capture, RefMotion
+from gtcal.results.calibration import Clock, PoseEstimate, Provenance, StageReport, pose_difference
+from gtcal.results.effect_finding import EffectFinding
 from gtcal.results.presented import Presented
 from gtcal.results.provenance import provenance
 
 GROSS_WEIGHT = 0.2
 """A view that counts less is called gross."""
+
+OF_POSES = ("clock", "clock_drift", "effects", "seed", "eps", "max_iterations", "allow_degenerate")
+"""The options that count where there are poses in place of corners."""
 
 _EPS, _MOST_GROSS = 1e-6, 0.15
 
@@ -98,7 +105,10 @@ class PoseCalibration(Presented):
 
     covariance: (6 + 6 C, 6 + 6 C) of body_T_board and each camera_T_ref together, in their right tangents.
     mocap_noise_deg, mocap_noise_mm: (3,) 1-sigma of what moves the board for all cameras of a frame, about and along
-    its axes; None where no frames are shared. solution: None where it was read from a file."""
+    its axes; None where no frames are shared.
+    clock, effects: as of a ``Calibration``; an effect's hold-out error is in sigmas in place of px. numbered: as of a
+    ``Recording``.
+    views: the poses at the times that they were taken at; these and solution: None where it was read from a file."""
 
     capture: Capture
     cameras: dict[str, PoseCamera]
@@ -111,6 +121,10 @@ class PoseCalibration(Presented):
     dropped: tuple[Dropped, ...]
     warnings: tuple[str, ...]
     provenance: Provenance
+    clock: Clock | None = None
+    effects: tuple[EffectFinding, ...] = ()
+    numbered: bool = False
+    views: Mapping[str, PoseViews] | None = field(default=None, compare=False, repr=False)
     solution: JointPoses | None = field(default=None, compare=False, repr=False)
 
     @property
@@ -124,16 +138,65 @@ class PoseCalibration(Presented):
 def calibrate_pose_recording(
     recording: PoseRecording, options: CalibrationOptions | None = None, *, progress: Progress = silent
 ) -> PoseCalibration:
-    """Every camera's extrinsic and the board-to-body transform from poses alone. Of the options the seed, eps,
-    max_iterations and allow_degenerate count.
+    """Every camera's extrinsic and the board-to-body transform from poses alone. Of the options ``OF_POSES`` count.
 
-    Raises GtcalError where the motion leaves a direction open."""
+    Raises GtcalError where the motion leaves a direction open, or for a clock where there is no time."""
     started, options = time.perf_counter(), options or CalibrationOptions()
-    views = recording.views
+    if recording.motion.numbered and (options.clock in ("estimate", "per_camera") or options.clock_drift):
+        raise GtcalError("the recording goes by number (numbered: true), and has no time: leave --clock out")
+    views, dropped, clock = recording.views, recording.dropped, None
+    if options.clock in ("estimate", "per_camera"):
+        views, clock, late = with_pose_clock(
+            views,
+            recording.motion,
+            lambda some: _solved(some, options)[0].chain,
+            per_camera=options.clock == "per_camera",
+            drift=options.clock_drift,
+            progress=progress,
+        )
+        dropped = (*dropped, *late)
     warnings = _motion_warnings(views, options)
-    reports = []
+    found, reports = _solved(views, options, progress)
+    if options.clock == "test" and not recording.motion.numbered:
+        clock, doubt = tested_pose_clock(
+            views, recording.motion, found.chain, lambda some: _solved(some, options)[0].chain
+        )
+        warnings += (doubt,) if doubt else ()
+    progress("effects", 0, 1)
+    effects = _effects(views, recording.motion, found, options)
+    progress("closed forms", 0, 1)
+    forms = closed_forms(views, found)
+    progress("closed forms", 1, 1)
+    residuals = found.chain.residuals(views)
+    covariance = found.covariance + effects.left_out.T @ effects.left_out if len(effects.left_out) else found.covariance
+    return PoseCalibration(
+        recording.capture,
+        {
+            name: _camera(name, index, v, found, covariance, residuals[name])
+            for index, (name, v) in enumerate(views.items())
+        },
+        PoseEstimate(found.chain.body_T_board, covariance[:6, :6]),
+        covariance,
+        *_mocap_noise(found),
+        forms,
+        reports,
+        dropped,
+        (*warnings, *_gross_warnings(found), *effect_warnings(_advised(effects.effects))),
+        provenance(options, recording.inputs, time.perf_counter() - started),
+        clock,
+        _advised(effects.effects),
+        recording.motion.numbered,
+        views,
+        found,
+    )
+
+
+def _solved(
+    views: Mapping[str, PoseViews], options: CalibrationOptions, progress: Progress = silent
+) -> tuple[JointPoses, tuple[StageReport, ...]]:
+    """The three stages."""
     progress("stage 1: Procrustes sweep", 0, 1)
-    at = time.perf_counter()
+    at, reports = time.perf_counter(), []
     chain = stage_1_of_poses(views, np.random.default_rng(options.seed))
     reports.append(_report(1, "Procrustes sweep", at, (), ""))
     progress("stage 2: 3-D alignment", 0, 1)
@@ -147,23 +210,22 @@ def calibrate_pose_recording(
     except np.linalg.LinAlgError:
         raise GtcalError("the poses leave a direction open: turn about two axes or more") from None
     reports.append(_report(3, "poses", at, found.errors, "whitened"))
-    progress("closed forms", 0, 1)
-    forms = closed_forms(views, found)
-    progress("closed forms", 1, 1)
-    residuals = found.chain.residuals(views)
-    return PoseCalibration(
-        recording.capture,
-        {name: _camera(name, index, v, found, residuals[name]) for index, (name, v) in enumerate(views.items())},
-        PoseEstimate(found.chain.body_T_board, found.covariance[:6, :6]),
-        found.covariance,
-        *_mocap_noise(found),
-        forms,
-        tuple(reports),
-        recording.dropped,
-        (*warnings, *_gross_warnings(found)),
-        provenance(options, recording.inputs, time.perf_counter() - started),
-        found,
-    )
+    return found, tuple(reports)
+
+
+def _advised(found: Sequence[EffectFinding]) -> tuple[EffectFinding, ...]:
+    """What to do of poses: there are no stretches of them."""
+    advice = "give what was taken before it and after it as two recordings; or record again with it fixed"
+    return tuple(replace(finding, advice=advice) if finding.moment else finding for finding in found)
+
+
+def _effects(
+    views: Mapping[str, PoseViews], motion: RefMotion, found: JointPoses, options: CalibrationOptions
+) -> FoundEffects:
+    if not options.effects:
+        return FoundEffects((), (), np.zeros((0, 0)))
+    clock_free = options.clock in ("estimate", "per_camera")
+    return find_pose_effects(views, motion, found.chain, clock_free=clock_free, drift_free=options.clock_drift)
 
 
 def closed_forms(views: Mapping[str, PoseViews], joint: JointPoses) -> tuple[ClosedForm, ...]:
@@ -216,11 +278,13 @@ def _report(stage: int, name: str, started_s: float, errors: tuple[float, ...], 
     return StageReport(stage, name, max(len(errors) - 1, 0), before, after, unit, float("nan"), seconds)
 
 
-def _camera(name: str, index: int, views: PoseViews, found: JointPoses, residuals: FloatArray) -> PoseCamera:
+def _camera(
+    name: str, index: int, views: PoseViews, found: JointPoses, covariance: FloatArray, residuals: FloatArray
+) -> PoseCamera:
     columns, noise = slice(6 + 6 * index, 12 + 6 * index), found.noise[name]
     deg, mm = _sigmas(noise.covariance, stated=views.covariance is not None)
     return PoseCamera(
-        PoseEstimate(found.chain.camera_T_ref[name], found.covariance[columns, columns]),
+        PoseEstimate(found.chain.camera_T_ref[name], covariance[columns, columns]),
         PoseStatistics.of(residuals, found.weights[name]),
         deg,
         mm,

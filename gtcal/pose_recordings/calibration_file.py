@@ -10,13 +10,15 @@ from typing import Any
 
 import numpy as np
 
+from gtcal.documents import read_text
 from gtcal.estimation.observations import Dropped
 from gtcal.files import write_text
 from gtcal.names import named
 from gtcal.pose_recordings.calibration import ClosedForm, PoseCalibration, PoseCamera, PoseStatistics
 from gtcal.recordings.capture import Capture
-from gtcal.results.calibration import PoseEstimate
+from gtcal.results.calibration import Clock, PoseEstimate
 from gtcal.results.calibration_file import (
+    finding_of,
     pose_document,
     pose_of,
     provenance_document,
@@ -24,9 +26,11 @@ from gtcal.results.calibration_file import (
     stage_of,
     without_nan,
 )
+from gtcal.results.effect_finding import EffectFinding
 from gtcal.results.result_file import read_result
 
 SCHEMA_VERSION = 1
+_FIELD, _HEAD = "gtcal_pose_calibration", 200  # the first of its fields
 
 CONVENTIONS = (
     "a_T_b takes coordinates in frame b to coordinates in frame a, in m. A covariance is that of xi in "
@@ -48,12 +52,18 @@ def read_pose_calibration(path: Path | str) -> PoseCalibration:
     return read_result(Path(path), "pose_calibration", SCHEMA_VERSION, _calibration)
 
 
+def is_pose_calibration(path: Path | str) -> bool:
+    """Whether a file says that it is one. Raises GtcalError where it can't be read."""
+    return f'"{_FIELD}"' in read_text(Path(path))[:_HEAD]
+
+
 def pose_calibration_document(calibration: PoseCalibration) -> dict[str, Any]:
     """As it stands in the file."""
     return {
-        "gtcal_pose_calibration": SCHEMA_VERSION,
+        _FIELD: SCHEMA_VERSION,
         "conventions": CONVENTIONS,
         "capture": calibration.capture.value,
+        "numbered": calibration.numbered,
         "warnings": list(calibration.warnings),
         "cameras": {name: _camera_document(camera) for name, camera in calibration.cameras.items()},
         "body_T_board": pose_document(calibration.body_T_board),
@@ -62,6 +72,8 @@ def pose_calibration_document(calibration: PoseCalibration) -> dict[str, Any]:
         "mocap_noise_mm": calibration.mocap_noise_mm,
         "closed_forms": [without_nan(asdict(form)) for form in calibration.closed_forms],
         "stages": [without_nan(asdict(stage)) for stage in calibration.stages],
+        "clock": asdict(calibration.clock) if calibration.clock else None,
+        "effects": [_effect_document(finding) for finding in calibration.effects],
         "dropped": [asdict(dropped) for dropped in calibration.dropped],
         "provenance": provenance_document(calibration.provenance),
     }
@@ -98,7 +110,22 @@ def _calibration(document: Mapping[str, Any]) -> PoseCalibration:
         dropped=tuple(Dropped(**block) for block in document["dropped"]),
         warnings=tuple(document["warnings"]),
         provenance=provenance_of(document["provenance"]),
+        clock=None if document.get("clock") is None else Clock(**document["clock"]),
+        effects=tuple(_effect(block) for block in document.get("effects", ())),
+        numbered=bool(document.get("numbered", False)),
     )
+
+
+_HOLD_OUT, _IN_SIGMAS = "hold_out_drop_px", "hold_out_drop_sigmas"
+
+
+def _effect_document(finding: EffectFinding) -> dict[str, Any]:
+    fields = asdict(finding)
+    return {_IN_SIGMAS if key == _HOLD_OUT else key: value for key, value in fields.items()}
+
+
+def _effect(block: Mapping[str, Any]) -> EffectFinding:
+    return finding_of({_HOLD_OUT if key == _IN_SIGMAS else key: value for key, value in block.items()})
 
 
 def _camera(block: Mapping[str, Any]) -> PoseCamera:

@@ -117,10 +117,35 @@ def holds_poses(path: Path | str) -> bool:
     return isinstance(cameras, Mapping) and any(isinstance(c, Mapping) and "views" in c for c in cameras.values())
 
 
+@dataclass(frozen=True)
+class PoseParts:
+    """What the files of a recording of poses hold, before views and mocap are put together. entries: what was said of
+    each camera's poses; seen: these, each camera's as the trajectory of the board in it. body_offsets_ns: what is added
+    to each body's stamps."""
+
+    path: Path
+    entries: dict[str, ViewsEntry]
+    seen: dict[str, Trajectory]
+    covariances: dict[str, FloatArray]
+    motion: RefMotion
+    body_offsets_ns: dict[str, int]
+    inputs: tuple[InputFile, ...]
+    notes: tuple[str, ...]
+
+
 def load_pose_recording(path: Path | str) -> PoseRecording:
     """Read the recording of poses in the folder (or with the manifest file) ``path``.
 
     Raises GtcalError, in one line that names the file and the field or row, for anything that is wrong with it."""
+    parts = load_pose_parts(path)
+    views, dropped = _synchronised(parts.seen, parts.covariances, parts.motion)
+    return PoseRecording(
+        parts.path, parts.motion.capture, views, parts.motion, tuple(dropped), parts.inputs, parts.notes
+    )
+
+
+def load_pose_parts(path: Path | str) -> PoseParts:
+    """What its files hold, each by itself. Raises GtcalError as ``load_pose_recording``."""
     manifest_path = find_manifest(Path(path))
     fields = load_fields(manifest_path)
     _check_all_have_poses(manifest_path, fields["cameras"])
@@ -149,14 +174,14 @@ def load_pose_recording(path: Path | str) -> PoseRecording:
         None if manifest.max_gap_ms is None else manifest.max_gap_ms / 1000,
         manifest.numbered,
     )
-    views, dropped = _synchronised(seen, covariances, motion)
     notes = [note for trajectory in (*seen.values(), *bodies.values()) for note in trajectory.notes]
-    return PoseRecording(
+    return PoseParts(
         manifest_path,
-        motion.capture,
-        views,
+        entries,
+        seen,
+        covariances,
         motion,
-        tuple(dropped),
+        {name: entry.stamp_offset_ns for name, entry in manifest.bodies.items()},
         tuple(fingerprint(file) for file in loader.used),
         tuple(dict.fromkeys(notes)),
     )

@@ -370,6 +370,11 @@ def manifest_of(path: Path, data: dict[str, Any]) -> Manifest:
             f"{path}: device: this is a recording of a Lollypop, which verifies a calibration ('gtcal verify', and "
             "'gtcal doctor --calibration'), not of a board to calibrate from"
         )
+    if "boards" in data:
+        raise GtcalError(
+            f"{path}: boards: this is a recording of several, which 'gtcal calibrate' and 'report' take; for all else "
+            "write a manifest with one of them ('board', 'capture', 'board_body') beside it"
+        )
     _refuse_poses(path, data.get("cameras"))
     manifest = validated(path, data, Manifest)
     try:
@@ -386,8 +391,8 @@ def _refuse_poses(path: Path, cameras: Any) -> None:
     for name, camera in cameras.items() if isinstance(cameras, dict) else ():
         if isinstance(camera, dict) and "views" in camera:
             raise GtcalError(
-                f"{path}: cameras.{name}.views: these are poses in place of corners, which 'gtcal calibrate' and "
-                "'gtcal compare' take; all else needs images or corners"
+                f"{path}: cameras.{name}.views: these are poses in place of corners, which 'gtcal calibrate', "
+                "'compare', 'doctor' and 'report' take; all else needs images or corners"
             )
 
 

@@ -182,7 +182,7 @@ def calibration_part(
         ref=REF_NAMES[calibration.capture],
         scene=build_scene(calibration, evidence, colours, verification),
         uncertainty=uncertainty_part(calibration, evidence, cameras=_worst(calibration)),
-        effects=tuple(_effect(finding) for finding in calibration.effects),
+        effects=tuple(effect_row(finding) for finding in calibration.effects),
         effect_pictures=tuple(effect_picture(finding) for finding in calibration.effects if finding.significant),
         segments=tuple(_segment(segment) for segment in calibration.segments),
     )
@@ -193,7 +193,8 @@ def _carried_over(found: CarriedOver | None) -> tuple[str, ...]:
     return () if found is None else (f"{found.statement}.", *(f"Since then: {line}." for line in found.moved))
 
 
-def _effect(finding: EffectFinding) -> EffectRow:
+def effect_row(finding: EffectFinding) -> EffectRow:
+    """What the table of effects says of one."""
     moves = (f"{name} {mm:.3f} mm, {finding.moves_deg[name]:.4f}°" for name, mm in finding.moves_mm.items())
     return EffectRow(
         name=finding.name,
@@ -207,11 +208,13 @@ def _effect(finding: EffectFinding) -> EffectRow:
 
 
 def _segment(segment: Segment) -> SegmentRow:
-    cameras = (f"{name} {_vector(1e3 * pose.position_of_a_in_b_m, 2)}" for name, pose in segment.camera_T_ref.items())
+    cameras = (
+        f"{name} {vector_text(1e3 * pose.position_of_a_in_b_m, 2)}" for name, pose in segment.camera_T_ref.items()
+    )
     return SegmentRow(
         seconds=f"{segment.start_s:.2f} to {segment.end_s:.2f}",
         moved=segment.moved,
-        board_mm=_vector(1e3 * segment.body_T_board.a_T_b[:3, 3], 2),
+        board_mm=vector_text(1e3 * segment.body_T_board.a_T_b[:3, 3], 2),
         cameras_mm="; ".join(cameras),
     )
 
@@ -350,9 +353,9 @@ def _row(calibration: Calibration, evidence: Evidence | None, name: str, colour:
         n_corners=f"{residuals.n_corners:,}",
         left_out=_left_out(calibration, name),
         covered=f"{covered_share(seen):.0%}" if seen is not None else "",
-        position_mm=_vector(1e3 * pose.position_of_a_in_b_m, 2),
-        sigma_mm=_vector(pose.position_of_a_in_b_sigma_mm, 3),
-        sigma_deg=_vector(pose.rotation_sigma_deg, 4),
+        position_mm=vector_text(1e3 * pose.position_of_a_in_b_m, 2),
+        sigma_mm=vector_text(pose.position_of_a_in_b_sigma_mm, 3),
+        sigma_deg=vector_text(pose.rotation_sigma_deg, 4),
     )
 
 
@@ -372,7 +375,9 @@ def _details(calibrated: CameraCalibration, row: CameraRow, pictures: tuple[Pict
         row=row,
         model=camera.model.name,
         image_size=f"{camera.image_width_px} × {camera.image_height_px} px",
-        pose=_pose("camera_T_ref", "takes coordinates in ref to the camera", pose, pose.position_of_a_in_b_sigma_mm),
+        pose=pose_text(
+            "camera_T_ref", "takes coordinates in ref to the camera", pose, pose.position_of_a_in_b_sigma_mm
+        ),
         parameters=_parameters(calibrated),
         moves=tuple(
             LensMoveText(move.group, f"{move.sigmas:.1f}", f"{move.largest_px:.2f}", f"{move.camera_mm:.3f}")
@@ -394,22 +399,29 @@ def _parameters(calibrated: CameraCalibration) -> tuple[ParameterText, ...]:
 def _board_pose(calibration: Calibration) -> PoseText:
     pose = calibration.body_T_board
     meaning = f"where the board sits in the {BODY_NAMES[calibration.capture]}"
-    return _pose("body_T_board", meaning, pose, pose.position_of_b_in_a_sigma_mm)
+    return pose_text("body_T_board", meaning, pose, pose.position_of_b_in_a_sigma_mm)
 
 
-def _pose(name: str, meaning: str, pose: PoseEstimate, sigma_mm: FloatArray | None) -> PoseText:
+def camera_pose_text(pose: PoseEstimate) -> PoseText:
+    """... of a camera_T_ref."""
+    return pose_text("camera_T_ref", "takes coordinates in ref to the camera", pose, pose.position_of_a_in_b_sigma_mm)
+
+
+def pose_text(name: str, meaning: str, pose: PoseEstimate, sigma_mm: FloatArray | None) -> PoseText:
+    """A transform for people."""
     quat = quaternions_from_poses(pose.a_T_b[None], "wxyz")[0]
     return PoseText(
         name=name,
         meaning=meaning,
-        translation_mm=_vector(1e3 * pose.a_T_b[:3, 3], 3),
-        quat_wxyz=_vector(quat, 6),
-        sigma_mm=_vector(sigma_mm, 3),
-        sigma_deg=_vector(pose.rotation_sigma_deg, 4),
+        translation_mm=vector_text(1e3 * pose.a_T_b[:3, 3], 3),
+        quat_wxyz=vector_text(quat, 6),
+        sigma_mm=vector_text(sigma_mm, 3),
+        sigma_deg=vector_text(pose.rotation_sigma_deg, 4),
     )
 
 
-def _vector(values: FloatArray | None, digits: int) -> str:
+def vector_text(values: FloatArray | None, digits: int) -> str:
+    """Its components; nothing for a vector that there isn't."""
     return "" if values is None else "  ".join(f"{value + 0.0:.{digits}f}" for value in values)
 
 

@@ -48,16 +48,21 @@ def render(
     """The page as text. Raises as ``write_report``."""
     if verification is not None:
         _check_cameras(calibration, verification)
-    environment = _environment()
-    return environment.get_template("report.html.j2").render(
+    return page_of(
+        "report.html.j2",
         calibration=calibration,
         part=calibration_part(calibration, evidence, verification, progress=progress),
         verification=verification,
         verified=verification_part(verification, calibration) if verification is not None else None,
         recording=evidence.recording if evidence is not None else None,
-        style=_own_text(environment, "report.css"),
-        script=_own_text(environment, "scene.js"),
     )
+
+
+def page_of(template: str, **parts: object) -> str:
+    """A page by one of this package's templates, in the reports' style."""
+    environment = _environment()
+    style, script = (_own_text(environment, name) for name in ("report.css", "scene.js"))
+    return environment.get_template(template).render(style=style, script=script, **parts)
 
 
 def _check_cameras(calibration: Calibration, verification: Verification) -> None:

@@ -21,6 +21,7 @@ from gtcal.results.carried_over import CarriedOver
 from gtcal.results.covariance import JointCovariance
 from gtcal.results.effect_finding import EffectFinding
 from gtcal.results.lens_move import LensMove
+from gtcal.results.other_board import OtherBoard
 from gtcal.results.presented import PresentedCalibration
 
 
@@ -318,6 +319,7 @@ class Calibration(PresentedCalibration):
         are those of the first.
     board_shape: None where the board was taken as flat and as stated.
     carried_over: what was taken from an earlier calibration; None where nothing was.
+    other_boards: of a recording of several, those beside the one that all else here is of.
     solution: None where the calibration was read from a file."""
 
     capture: Capture
@@ -338,6 +340,7 @@ class Calibration(PresentedCalibration):
     segments: tuple[Segment, ...] = ()
     board_shape: BoardShape | None = None
     carried_over: CarriedOver | None = None
+    other_boards: tuple[OtherBoard, ...] = ()
     solution: Solution | None = field(default=None, compare=False, repr=False)
 
     @property

@@ -42,6 +42,7 @@ from gtcal.results.carried_over import CarriedOver
 from gtcal.results.covariance import JointCovariance
 from gtcal.results.effect_finding import EffectFinding, Moment, Quantity
 from gtcal.results.lens_move import LensMove
+from gtcal.results.other_board import OtherBoard
 from gtcal.results.result_file import read_result
 
 SCHEMA_VERSION = 1
@@ -88,6 +89,7 @@ def calibration_document(calibration: Calibration) -> dict[str, Any]:
         "clock": asdict(calibration.clock) if calibration.clock else None,
         "effects": [asdict(finding) for finding in calibration.effects],
         "carried_over": asdict(calibration.carried_over) if calibration.carried_over else None,
+        **_other_boards_document(calibration.other_boards),
         "segments": [_segment_document(segment) for segment in calibration.segments],
         "stages": [without_nan(asdict(stage)) for stage in calibration.stages],
         "dropped": [asdict(dropped) for dropped in calibration.dropped],
@@ -166,6 +168,27 @@ def _covariance_document(joint: JointCovariance) -> dict[str, Any]:
     }
 
 
+def _other_boards_document(boards: tuple[OtherBoard, ...]) -> dict[str, Any]:
+    """Nothing of a recording of one board."""
+    blocks = [
+        {
+            "name": board.name,
+            "board": board.board,
+            "capture": board.capture.value,
+            "body_T_board": _board_document(board.body_T_board),
+            "residuals": {camera: asdict(of_camera) for camera, of_camera in board.residuals.items()},
+        }
+        for board in boards
+    ]
+    return {"other_boards": blocks} if blocks else {}
+
+
+def _other_board(block: Mapping[str, Any]) -> OtherBoard:
+    residuals = {named(name): _made(ResidualStatistics, of) for name, of in block["residuals"].items()}
+    pose = pose_of(block["body_T_board"])
+    return OtherBoard(named(block["name"]), block["board"], Capture(block["capture"]), pose, residuals)
+
+
 def _segment_document(segment: Segment) -> dict[str, Any]:
     return {
         "start_s": segment.start_s,
@@ -216,8 +239,9 @@ def _calibration(document: Mapping[str, Any]) -> Calibration:
         estimates={int(stage): _estimate(block) for stage, block in document["estimates"].items()},
         mocap_noise=_mocap_noise(document["mocap_noise"]),
         clock=None if document["clock"] is None else Clock(**document["clock"]),
-        effects=tuple(_finding(block) for block in document.get("effects", ())),
+        effects=tuple(finding_of(block) for block in document.get("effects", ())),
         carried_over=_carried_over(document.get("carried_over")),
+        other_boards=tuple(_other_board(block) for block in document.get("other_boards", ())),
         segments=tuple(_segment(block) for block in document.get("segments", ())),
         stages=tuple(stage_of(block) for block in document["stages"]),
         dropped=tuple(_made(Dropped, block) for block in document["dropped"]),
@@ -285,7 +309,8 @@ def _mocap_noise(block: Mapping[str, Any] | None) -> MocapNoise | None:
     return _made(MocapNoise, {**block, "hold_out_px": hold_out_px, "smooth": smooth})
 
 
-def _finding(block: Mapping[str, Any]) -> EffectFinding:
+def finding_of(block: Mapping[str, Any]) -> EffectFinding:
+    """An effect as it was written."""
     quantities = tuple(_made(Quantity, quantity) for quantity in block["estimate"])
     moment = None if block["moment"] is None else _made(Moment, block["moment"])
     return _made(EffectFinding, {"hold_out_px": None, **block, "estimate": quantities, "moment": moment})

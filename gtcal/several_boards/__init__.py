@@ -1,0 +1,1 @@
+"""Recordings of several boards at once, known apart by their tags: one X each, all cameras in one estimate."""
