@@ -1,14 +1,17 @@
 """Spoilt files for every reader: what is not told in one line, takes more than 2 s, or more than 1 GiB.
 
     python scripts/fuzz.py --inputs 20000 --seed 1
+    python scripts/fuzz.py --inputs 100000 --seed 2 --sum fuzz.json    (adds to what the file says of other seeds)
 
 Good files of every kind that gtcal reads are written, spoilt at random (the same for the same seed), and read. A reader
 may take a file or refuse it with a GtcalError; anything else is counted and shown, with the number of the input, which
 ``--only`` reads again, alone. It runs on all cores, in processes of their own, so that none takes the others down.
+Readers that take long, those of bags above all, get fewer inputs than the others: the table says how many each.
 """
 
 from __future__ import annotations
 
+import json
 import logging
 import multiprocessing
 import os
@@ -23,22 +26,26 @@ import traceback
 import warnings
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from importlib.util import find_spec
+from multiprocessing.pool import ThreadPool
 from pathlib import Path
 from typing import Annotated
 
 import cv2
 import numpy as np
 import tyro
+from rich.console import Console
+from rich.table import Table
 
 sys.path.append(str(Path(__file__).parents[1] / "tests"))
 from media_support import compressed_message, image_message, write_bag, write_video
-from mocap_files import CUBE_M, from_zero, markers_of, write_motive, write_qualisys, write_trc, write_vicon
+from mocap_files import CUBE_M, from_zero, markers_of, write_c3d, write_motive, write_qualisys, write_trc, write_vicon
 from support import EPOCH_NS, wandering_trajectory
 from vrs_support import image_stream, write_vrs
 
+from gtcal.baselines.marker_file import COLUMNS, read_marker_sightings
 from gtcal.board import load_board
 from gtcal.camera_files.calibration_rig import calibration_rig
 from gtcal.camera_files.formats import CAMERA_FILE_WRITERS, FOLDER_FORMATS, read_rig, write_rig
@@ -46,8 +53,14 @@ from gtcal.cores import n_cores
 from gtcal.detection.detect import _read_cache, _write_cache
 from gtcal.errors import GtcalError
 from gtcal.estimation.priors_file import read_priors
-from gtcal.readers import TRAJECTORY_READERS, BodySelection, inspect_mocap, write_euroc_csv, write_tum
+from gtcal.files import write_text
+from gtcal.fleet.index import insert, opened_index, records
+from gtcal.fleet.jobs import JobsError
+from gtcal.fleet.jobs_file import read_jobs
+from gtcal.fleet.record import Contents, Record, read_record, record_text
+from gtcal.readers import TRAJECTORY_READERS, BodySelection, inspect_mocap, read_c3d, write_euroc_csv, write_tum
 from gtcal.readers.mocap_exports import write_rosbag
+from gtcal.readers.pose_list import read_pose_list, write_pose_list
 from gtcal.readers.poses import PoseConventions
 from gtcal.readers.rosbag import read_rosbag_takes
 from gtcal.recordings.bag_images import bag_images
@@ -66,16 +79,17 @@ from gtcal.verification.workflow import verify
 
 SLOW_S, LARGE_BYTES = 2.0, 2**30
 _HANGS_S = 30
-_CHUNK = 1_000
+_CHUNK = 25_000  # to write the good files takes as long as to read a thousand
 
 
 @dataclass(frozen=True)
 class Target:
-    """A file that is spoilt, and what reads it then."""
+    """A file that is spoilt, and what reads it then. share: of how many inputs it gets one; 1 where it is quick."""
 
     name: str
     file: Path
     read: Callable[[], object]
+    share: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -88,6 +102,26 @@ class Failed:
     what: str
 
 
+@dataclass
+class Tally:
+    """What became of a target's inputs."""
+
+    inputs: int = 0
+    refused: int = 0
+    taken: int = 0
+    failed: int = 0
+    most_s: float = 0.0
+    most_bytes: int = 0
+
+    def add(self, other: Tally) -> None:
+        self.inputs += other.inputs
+        self.refused += other.refused
+        self.taken += other.taken
+        self.failed += other.failed
+        self.most_s = max(self.most_s, other.most_s)
+        self.most_bytes = max(self.most_bytes, other.most_bytes)
+
+
 class _HangsError(BaseException):
     """It takes so long that waiting for it is no use."""
 
@@ -98,75 +132,117 @@ def main(
     only: Annotated[int | None, tyro.conf.arg(help="This input alone.")] = None,
     of: Annotated[str, tyro.conf.arg(help="Of the targets, those alone in whose names this is.")] = "",
     minutes: Annotated[float, tyro.conf.arg(help="Begin no more inputs after so long.")] = np.inf,
+    sum: Annotated[Path | None, tyro.conf.arg(help="Add the counts to those in this file, and show these.")] = None,
 ) -> int:
     """Spoil so many files, and say what was wrong. Exits with 1 where something was."""
     numbers = range(inputs) if only is None else range(only, only + 1)
     started = time.perf_counter()
     workers = 1 if only is not None else n_cores()
-    failed, done, most_s, most_bytes = run(numbers, seed, workers=workers, of=of, seconds=60.0 * minutes)
+    failed, tallies = run(numbers, seed, workers=workers, of=of, seconds=60.0 * minutes)
     for (target, kind, what), count in Counter((f.target, f.kind, f.what) for f in failed).most_common():
         first = next(f.number for f in failed if (f.target, f.kind, f.what) == (target, kind, what))
         print(f"{count:6} x {target}: {kind}: {what} (the first: --only {first})")
-    kinds = Counter(f.kind for f in failed)
+    seeds, kinds = [seed], Counter(f.kind for f in failed)
+    if sum is not None:
+        seeds, kinds, tallies = added_to(sum, seed, kinds, tallies)
+    print_table(tallies)
+    total = Tally()
+    for tally in tallies.values():
+        total.add(tally)
     print(
-        f"{done:,} inputs of seed {seed} in {time.perf_counter() - started:.0f} s: {kinds['uncaught']} uncaught, "
-        f"{kinds['slow']} over {SLOW_S:g} s (longest {most_s:.2f} s), {kinds['large']} over 1 GiB (most "
-        f"{most_bytes / 2**20:.0f} MiB), {kinds['crash']} crashes"
+        f"{total.inputs:,} inputs of seed {', '.join(map(str, seeds))}: {kinds['uncaught']} uncaught, "
+        f"{kinds['slow']} over {SLOW_S:g} s (longest {total.most_s:.2f} s), {kinds['large']} over 1 GiB (most "
+        f"{total.most_bytes / 2**20:.0f} MiB), {kinds['crash']} crashes; {time.perf_counter() - started:.0f} s"
     )
     return 1 if failed else 0
 
 
+def added_to(
+    path: Path, seed: int, kinds: Counter[str], tallies: dict[str, Tally]
+) -> tuple[list[int], Counter[str], dict[str, Tally]]:
+    """The seeds, what was wrong and the tallies, with those of earlier runs in a file, which holds them all then."""
+    before = json.loads(path.read_text()) if path.exists() else {"seeds": [], "wrong": {}, "targets": {}}
+    if seed in before["seeds"]:
+        raise SystemExit(f"{path}: holds seed {seed} already; give another")
+    seeds, wrong = [*before["seeds"], seed], Counter(before["wrong"]) + kinds
+    both = {name: Tally(**fields) for name, fields in before["targets"].items()}
+    for name, tally in tallies.items():
+        both.setdefault(name, Tally()).add(tally)
+    targets = {name: vars(tally) for name, tally in both.items()}
+    path.write_text(json.dumps({"seeds": seeds, "wrong": wrong, "targets": targets}, indent=1) + "\n")
+    return seeds, wrong, both
+
+
+def print_table(tallies: dict[str, Tally]) -> None:
+    """A row a target."""
+    table = Table()
+    for heading in ("file", "inputs", "refused", "taken", "wrong", "longest, ms", "memory, MiB"):
+        table.add_column(heading, justify="left" if heading == "file" else "right")
+    for name, tally in sorted(tallies.items()):
+        counts = (f"{count:,}" for count in (tally.inputs, tally.refused, tally.taken, tally.failed))
+        table.add_row(name, *counts, f"{1e3 * tally.most_s:.0f}", f"{tally.most_bytes / 2**20:.0f}")
+    Console(width=120).print(table)
+
+
 def run(
     numbers: range, seed: int, *, workers: int, of: str = "", seconds: float = np.inf
-) -> tuple[list[Failed], int, float, int]:
-    """What failed, how many inputs were read, the longest time of one, and the most memory that a process took on.
-    After so many seconds no more are begun."""
-    started, done = time.perf_counter(), 0
-    chunks = [numbers[i : i + _CHUNK] for i in range(0, len(numbers), _CHUNK)]
+) -> tuple[list[Failed], dict[str, Tally]]:
+    """What failed, and what became of the inputs of each target. After so many seconds no more are begun."""
+    started = time.perf_counter()
+    size = min(_CHUNK, -(-len(numbers) // workers))
+    waiting = [numbers[i : i + size] for i in range(0, len(numbers), size)]
     failed: list[Failed] = []
-    most_s, most_bytes = 0.0, 0
-    with tempfile.TemporaryDirectory() as folder:
-        base = Path(folder)
-        # spawned: none inherits the others' memory
-        context = multiprocessing.get_context("spawn")
-        waiting, running = list(enumerate(chunks)), []
-        while waiting or running:
-            if time.perf_counter() - started > seconds:
-                waiting.clear()
-                if not running:
-                    break
-            while waiting and len(running) < workers:
-                place, chunk = waiting.pop(0)
-                ours, theirs = context.Pipe(duplex=False)
-                process = context.Process(target=_run_chunk, args=(base / str(place), chunk, seed, of, theirs))
-                process.start()
-                theirs.close()
-                running.append((process, ours, chunk))
-            process, pipe, chunk = running.pop(0)
-            at = None
-            try:
-                while True:
-                    message = pipe.recv()
-                    if isinstance(message, int):
-                        at, done = message, done + 1
-                    elif isinstance(message, Failed):
-                        failed.append(message)
-                    else:
-                        most_s, most_bytes = max(most_s, message[0]), max(most_bytes, message[1])
-            except EOFError:
-                process.join()
-            if at is None:
-                raise RuntimeError("the good files can't be made or read; see above")
-            if process.exitcode:
-                failed.append(Failed(at, "?", "crash", f"exit code {process.exitcode}"))
-                rest = range(at + 1, chunk[-1] + 1)
-                if len(rest):
-                    waiting.append((len(chunks) + len(failed), rest))
-    return failed, done, most_s, most_bytes
+    tallies: dict[str, Tally] = {}
+    memory = "/dev/shm" if Path("/dev/shm").is_dir() else None  # a file is written twice for each input
+    with tempfile.TemporaryDirectory(dir=memory) as folder, ThreadPool(workers) as pool:
+
+        def one(place: int, chunk: range) -> None:
+            while len(chunk):
+                left = seconds - (time.perf_counter() - started)
+                chunk = _in_a_process(Path(folder) / f"{place}_{chunk[0]}", chunk, seed, of, left, failed, tallies)
+
+        pool.starmap(one, enumerate(waiting), chunksize=1)
+    return failed, tallies
 
 
-def _run_chunk(folder: Path, numbers: range, seed: int, of: str, pipe: multiprocessing.connection.Connection) -> None:
-    """Spoil and read these inputs. Through the pipe go the number before each, what failed, and time and memory."""
+def _in_a_process(
+    folder: Path, chunk: range, seed: int, of: str, seconds: float, failed: list[Failed], tallies: dict[str, Tally]
+) -> range:
+    """Read these inputs in a process of its own. What of them is left, where that crashes."""
+    if seconds <= 0:
+        return range(0)
+    context = multiprocessing.get_context("spawn")  # none inherits the others' memory
+    ours, theirs = context.Pipe(duplex=False)
+    process = context.Process(target=_run_chunk, args=(folder, chunk, seed, of, seconds, theirs))
+    process.start()
+    theirs.close()
+    at, target = None, "?"
+    try:
+        while True:
+            message = ours.recv()
+            if isinstance(message, Failed):
+                failed.append(message)
+            elif isinstance(message, dict):
+                for name, tally in message.items():
+                    tallies.setdefault(name, Tally()).add(tally)
+            else:
+                at, target = message
+    except EOFError:
+        process.join()
+    if process.exitcode and at is None:
+        raise RuntimeError("the good files can't be made or read; see above")
+    if not process.exitcode:
+        return range(0)
+    failed.append(Failed(at, target, "crash", f"exit code {process.exitcode}"))
+    return range(at + 1, chunk[-1] + 1)
+
+
+def _run_chunk(
+    folder: Path, numbers: range, seed: int, of: str, seconds: float, pipe: multiprocessing.connection.Connection
+) -> None:
+    """Spoil and read these inputs. Through the pipe go the number and target before each, what failed, and the tallies:
+    after each thousand, as the process may crash."""
+    started = time.perf_counter()
     logging.disable()
     warnings.simplefilter("ignore")
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
@@ -177,42 +253,63 @@ def _run_chunk(folder: Path, numbers: range, seed: int, of: str, pipe: multiproc
     os.dup2(os.open(os.devnull, os.O_WRONLY), 2)  # libraries of images say there what they think of them
     resource.setrlimit(resource.RLIMIT_AS, (_virtual_bytes() + LARGE_BYTES + 2**28,) * 2)
     signal.signal(signal.SIGALRM, _hang)
-    before, most_s = _resident_bytes(), 0.0
+    tallies: dict[str, Tally] = {}
+    shares = np.cumsum([target.share for target in targets]).tolist()
     for number in numbers:
-        pipe.send(number)
-        failures, seconds = spoil_and_read(number, seed, targets)
-        most_s = max(most_s, seconds)
-        for failure in failures:
+        randomness = random.Random(f"{seed}:{number}")
+        (target,) = randomness.choices(targets, cum_weights=shares)
+        pipe.send((number, target.name))
+        failure, tally = spoil_and_read(number, target, randomness)
+        tallies.setdefault(target.name, Tally()).add(tally)
+        if failure is not None:
             pipe.send(failure)
-    pipe.send((most_s, max(0, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 - before)))
+        if number % 1000 == 999:
+            pipe.send(tallies)
+            tallies = {}
+        if time.perf_counter() - started > seconds:
+            break
+    pipe.send(tallies)
 
 
-def spoil_and_read(number: int, seed: int, targets: list[Target]) -> tuple[list[Failed], float]:
-    """One input: what failed, and the seconds it took."""
-    randomness = random.Random(f"{seed}:{number}")
-    target = randomness.choice(targets)
+def spoil_and_read(number: int, target: Target, randomness: random.Random) -> tuple[Failed | None, Tally]:
+    """One input: what was wrong, and its tally."""
     good = target.file.read_bytes()
     target.file.write_bytes(spoilt(good, randomness))
-    started, failed = time.process_time(), []
+    _PEAK.write_text("5")  # resets the most memory that this process has had
+    before, started, wrong, refused = _resident_bytes(), _cpu_s(), None, False
     try:
         signal.alarm(_HANGS_S)
         target.read()
     except GtcalError as error:
-        if "\n" in str(error) and "\n" not in str(target.file):
-            failed.append(Failed(number, target.name, "uncaught", "a message of several lines"))
+        refused = True
+        if "\n" in str(error) and not isinstance(error, JobsError):
+            wrong = "uncaught", "a message of several lines"
     except _HangsError:
-        failed.append(Failed(number, target.name, "slow", f"over {_HANGS_S} s"))
+        wrong = "slow", f"over {_HANGS_S} s"
     except MemoryError as error:
-        failed.append(Failed(number, target.name, "large", _where(error)))
+        wrong = "large", _where(error)
     except Exception as error:
-        failed.append(Failed(number, target.name, "uncaught", _where(error)))
+        wrong = "uncaught", _where(error)
     finally:
         signal.alarm(0)
         target.file.write_bytes(good)
-    seconds = time.process_time() - started  # of its own: others may use the machine
-    if seconds > SLOW_S and not failed:
-        failed.append(Failed(number, target.name, "slow", "over 2 s"))
-    return failed, seconds
+    seconds = _cpu_s() - started
+    took_bytes = max(0, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 - before)
+    if wrong is None and seconds > SLOW_S:
+        wrong = "slow", f"over {SLOW_S:g} s"
+    if wrong is None and took_bytes > LARGE_BYTES:
+        wrong = "large", "over 1 GiB"
+    failed = None if wrong is None else Failed(number, target.name, *wrong)
+    tally = Tally(1, int(refused), int(wrong is None and not refused), int(wrong is not None), seconds, took_bytes)
+    return failed, tally
+
+
+_PEAK = Path("/proc/self/clear_refs")
+
+
+def _cpu_s() -> float:
+    """Of this process and those that it waited for: others may use the machine."""
+    return time.process_time() + sum(os.times()[2:4])
 
 
 def _hang(*_: object) -> None:
@@ -252,8 +349,9 @@ def spoilt(content: bytes, randomness: random.Random) -> bytes:
 
 
 def _word(content: bytes, randomness: random.Random) -> bytes:
-    """A word or number for another."""
-    words = list(_WORD.finditer(content[: 2**18]))
+    """A word or number for another of those near it."""
+    start = randomness.randrange(max(1, len(content) - 2**8))
+    words = list(_WORD.finditer(content, start, start + 2**10))
     if not words:
         return content
     word = randomness.choice(words)
@@ -311,23 +409,26 @@ _WAYS = (_word, _word, _word, _inserted, _flipped, _number, _cut, _removed, _rep
 def good_files(folder: Path) -> list[Target]:
     """Files of all kinds written into a folder, and their readers."""
     texts = [*_recordings(folder), *_results(folder), *_camera_files(folder), *_mocap_files(folder)]
-    return [*texts, *_images(folder), *_bags(folder), *_videos(folder), *_vrs(folder)]
+    return [*texts, *_c3d(folder), *_images(folder), *_bags(folder), *_videos(folder), *_vrs(folder)]
 
 
 def _simulation():
-    return simulate(SimulationOptions(rig=quest3_like_rig(), n_frames=8, duration_s=4.0), seed=1)
+    headset = quest3_like_rig()
+    rig = replace(headset, cameras=headset.cameras[:2], rig_T_camera=headset.rig_T_camera[:2])
+    return simulate(SimulationOptions(rig=rig, n_frames=8, duration_s=1.0, mocap_rate_hz=40.0), seed=1)
 
 
 def _recordings(folder: Path) -> list[Target]:
     simulation = _simulation()
     write_simulation(simulation, folder / "rec", images=False)
-    device = LollypopOptions(rig=simulation.options.rig, calibrated_in=simulation.scene, n_frames=40)
+    device = LollypopOptions(rig=simulation.options.rig, calibrated_in=simulation.scene)
+    device = replace(device, n_frames=30, duration_s=2.0, mocap_rate_hz=40.0)
     write_lollypop_simulation(simulate_lollypop(device, seed=2), folder / "lollypop", images=False)
     targets = []
     for name, load in (("rec", load_recording), ("lollypop", load_lollypop_recording)):
         for file in sorted((folder / name).iterdir()):
             if file.name != "ground_truth.json":
-                targets.append(Target(f"{name}/{file.name}", file, partial(load, folder / name)))
+                targets.append(Target(f"{name}/{file.name}", file, partial(load, folder / name), 0.1))
     manifest = folder / "rec/recording.yaml"
     targets.append(Target("rec/recording.yaml as named", manifest, partial(named_files, manifest)))
     targets.append(Target("ground truth", folder / "rec/ground_truth.json", partial(read_ground_truth, folder / "rec")))
@@ -340,8 +441,13 @@ def _recordings(folder: Path) -> list[Target]:
         "gtcal_priors: 1\nbody_T_board: {position_mm: [1, 2, 3], rotvec_deg: [0, 0, 90], sigma_mm: 1, sigma_deg: 0.5}\n"
         "cameras:\n  cam0: {intrinsics: {fx: {value: 500.0, sigma: 1.0}}}\n"
     )
+    rows = "front_left,{},600.5,500.5,0.1,0.2,0.3\n"
+    stamps_ns = simulation.recording.detections["front_left"].stamps_ns.tolist()
+    markers = folder / "markers.csv"
+    markers.write_text(",".join(COLUMNS) + "\n" + "".join(rows.format(stamp_ns) for stamp_ns in stamps_ns))
     return [
         *targets,
+        Target("markers seen", markers, partial(read_marker_sightings, markers, simulation.recording)),
         Target("board", folder / "board.yaml", partial(load_board, str(folder / "board.yaml"))),
         Target("device", folder / "device.yaml", partial(read_device, folder / "device.yaml")),
         Target("priors", folder / "priors.yaml", partial(read_priors, folder / "priors.yaml")),
@@ -365,7 +471,33 @@ def _results(folder: Path) -> list[Target]:
         Target("calibration", folder / "cal.json", partial(read_calibration, folder / "cal.json")),
         Target("verification", folder / "ver.json", partial(read_verification, folder / "ver.json")),
         Target("cache", folder / "cache.npz", partial(_read_cache, folder / "cache.npz", simulation.recording.board)),
+        *_fleet(folder),
     ]
+
+
+def _fleet(folder: Path) -> list[Target]:
+    """What a batch reads and keeps."""
+    (folder / "jobs.yaml").write_text(
+        "gtcal_jobs: 1\noptions: {verify: {confidence: 0.9}}\njobs:\n  - {rig: a, recording: rec, taken: 2026-03-02}\n"
+        "  - {rig: a, kind: verify, recording: lollypop, calibration: cal.json, options: {max_rmse_px: 1.0}}\n"
+    )
+    (folder / "jobs.csv").write_text("rig,kind,recording,taken,options.confidence\na,verify,lollypop,2026-03-03,0.9\n")
+    record = Record("a", "calibrate", "rec", "k", "done", "", "", 1, True, "", {}, {}, (), "2026", 1.0, (), "0" * 64)
+    write_text(folder / "record.json", record_text(record))
+    with opened_index(folder / "index.sqlite") as connection:
+        insert(connection, record, Contents())
+    return [
+        *(Target(name, folder / name, partial(read_jobs, folder / name), 0.3) for name in ("jobs.yaml", "jobs.csv")),
+        Target("record", folder / "record.json", partial(read_record, folder / "record.json")),
+        Target("index", folder / "index.sqlite", partial(_index_read, folder / "index.sqlite"), 0.3),
+    ]
+
+
+def _index_read(path: Path) -> None:
+    for suffix in ("-wal", "-shm"):
+        path.with_name(path.name + suffix).unlink(missing_ok=True)
+    with opened_index(path) as connection:
+        list(records(connection, current=False))
 
 
 def _camera_files(folder: Path) -> list[Target]:
@@ -375,10 +507,11 @@ def _camera_files(folder: Path) -> list[Target]:
     for name in CAMERA_FILE_WRITERS:
         path = folder / (f"rig_{name}" + ("" if name in FOLDER_FORMATS else suffixes.get(name, ".json")))
         write_rig(rig, path, name, [], nearest=True)
+        share = {"ros_bag": 0.01, "ros": 0.4, "colmap": 0.4}.get(name, 1.0)
         for file in sorted(path.iterdir()) if path.is_dir() else [path]:
-            targets.append(Target(f"{name} {file.name}", file, partial(read_rig, path, name)))
+            targets.append(Target(f"{name} {file.name}", file, partial(read_rig, path, name), share))
         if name not in ("anipose",):
-            targets.append(Target(f"{name} by itself", file, partial(read_rig, path, None)))
+            targets.append(Target(f"{name} by itself", file, partial(read_rig, path, None), share))
     return targets
 
 
@@ -405,7 +538,23 @@ def _mocap_files(folder: Path) -> list[Target]:
         path = folder / file
         targets.append(Target(kind, path, partial(TRAJECTORY_READERS[kind], path, "a", PoseConventions(), selection)))
         targets.append(Target(f"{kind} summed up", path, partial(inspect_mocap, path)))
+    write_pose_list(folder / "poses.csv", np.arange(len(poses)), poses)
+    np.save(folder / "poses.npy", poses)
+    for file in ("poses.csv", "poses.npy"):
+        stated = PoseConventions(length_unit="m", quaternion="xyzw" if file == "poses.csv" else None)
+        read = partial(read_pose_list, folder / file, "a", stated, BodySelection())
+        targets.append(Target(file, folder / file, read))
     return targets
+
+
+def _c3d(folder: Path) -> list[Target]:
+    """A C3D file; none where its library is missing."""
+    if find_spec("ezc3d") is None:
+        return []
+    poses = from_zero(wandering_trajectory("a", n=30, interval_ns=10_000_000)).world_T_body
+    labels = tuple(f"m{i}" for i in range(len(CUBE_M)))
+    path = write_c3d(folder / "markers.c3d", dict(zip(labels, np.moveaxis(markers_of(poses), 1, 0), strict=True)))
+    return [Target("c3d", path, partial(read_c3d, path, "a", PoseConventions(), BodySelection(markers=labels)), 0.1)]
 
 
 def _images(folder: Path) -> list[Target]:
@@ -445,11 +594,11 @@ def _bags(folder: Path) -> list[Target]:
         for file in sorted(path.iterdir()) if path.is_dir() else [path]:
             for topic in ("/raw", "/packed"):
                 read = partial(_bag_read, path, topic)
-                targets.append(Target(f"bag {storage} {file.suffix} {topic}", file, read))
+                targets.append(Target(f"bag {storage} {file.suffix} {topic}", file, read, 0.03))
     poses = {"platform": wandering_trajectory("platform", n=20)}
     write_rosbag(folder, poses)
     for file in sorted((folder / "take").iterdir()):
-        targets.append(Target(f"bag of poses {file.suffix}", file, partial(read_rosbag_takes, folder / "take")))
+        targets.append(Target(f"bag of poses {file.suffix}", file, partial(read_rosbag_takes, folder / "take"), 0.03))
     return targets
 
 
@@ -480,7 +629,7 @@ def _vrs(folder: Path) -> list[Target]:
     image = np.random.default_rng(1).integers(0, 255, (12, 16), dtype=np.uint8)
     stamps_ns = [EPOCH_NS + 10**8 * i for i in range(4)]
     path = write_vrs(folder / "glasses.vrs", [image_stream([image] * 4, [0.1, 0.2, 0.3, 0.4], stamps_ns)])
-    return [Target("vrs", path, partial(_vrs_read, path))]
+    return [Target("vrs", path, partial(_vrs_read, path), 0.005)]
 
 
 def _vrs_read(path: Path) -> None:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+import pytest
 from scipy.spatial.transform import Rotation
 
 from gtcal.recordings.trajectory import Trajectory, quaternions_from_poses
@@ -220,4 +221,16 @@ def write_trc(
     ]
     text = ending.join(separator.join(line) for line in lines) + ending
     path.write_bytes((text.replace(".", ",") if separator == ";" else text).encode())
+    return path
+
+
+def write_c3d(path: Path, given: dict[str, np.ndarray], *, unit: str = "mm", rate_hz: float = 100.0) -> Path:
+    ezc3d = pytest.importorskip("ezc3d")
+    points = np.stack([1000.0 * at.T for at in given.values()], axis=1)
+    file = ezc3d.c3d()
+    file["parameters"]["POINT"]["RATE"]["value"] = [rate_hz]
+    file["parameters"]["POINT"]["UNITS"]["value"] = [unit]
+    file["parameters"]["POINT"]["LABELS"]["value"] = list(given)
+    file["data"]["points"] = np.concatenate([points, np.ones((1, *points.shape[1:]))])
+    file.write(str(path))
     return path

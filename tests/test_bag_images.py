@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -175,6 +176,16 @@ def test_other_files_are_no_bags(tmp_path: Path) -> None:
     for name in ("a.bag", "b"):
         with pytest.raises(GtcalError, match=rf"{name}: is not a ROS bag that can be read"):
             bag_images(tmp_path / name, "/cam0")
+
+
+def test_metadata_nested_without_end_are_told_at_once(tmp_path: Path) -> None:
+    path = bag(tmp_path, "sqlite3")
+    metadata = path / "metadata.yaml"
+    metadata.write_text(metadata.read_text() + "x: " + "[" * 2000)
+    started = time.process_time()
+    with pytest.raises(GtcalError, match=r"metadata\.yaml: is not valid YAML: .*depth"):
+        bag_images(path, "/cam0")
+    assert time.process_time() - started < 1.0
 
 
 def test_a_missing_library_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

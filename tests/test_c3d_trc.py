@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from mocap_files import CUBE_M, from_zero, markers_of, write_trc
+from mocap_files import CUBE_M, from_zero, markers_of, write_c3d, write_trc
 from support import wandering_trajectory
 
 from gtcal.errors import GtcalError
@@ -23,18 +23,6 @@ def markers(*lost: int) -> dict[str, np.ndarray]:
     at = markers_of(A)
     at[list(lost), 0] = np.nan
     return dict(zip(LABELS, np.moveaxis(at, 1, 0), strict=True))
-
-
-def write_c3d(path: Path, given: dict[str, np.ndarray], *, unit: str = "mm", rate_hz: float = 100.0) -> Path:
-    ezc3d = pytest.importorskip("ezc3d")
-    points = np.stack([1000.0 * at.T for at in given.values()], axis=1)
-    file = ezc3d.c3d()
-    file["parameters"]["POINT"]["RATE"]["value"] = [rate_hz]
-    file["parameters"]["POINT"]["UNITS"]["value"] = [unit]
-    file["parameters"]["POINT"]["LABELS"]["value"] = list(given)
-    file["data"]["points"] = np.concatenate([points, np.ones((1, *points.shape[1:]))])
-    file.write(str(path))
-    return path
 
 
 @pytest.mark.parametrize(

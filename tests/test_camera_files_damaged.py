@@ -190,7 +190,7 @@ def test_a_bag_is_a_new_folder_and_a_damaged_one_is_told(tmp_path: Path) -> None
         file.write_bytes(whole[: len(whole) // 3])
         said = one_line(path, "ros_bag")
         assert said is not None
-        assert "can't be read as a bag" in said
+        assert "is not a ROS bag that can be read" in said
         file.write_bytes(whole)
     assert one_line(path, "ros_bag") is None
 
@@ -198,7 +198,7 @@ def test_a_bag_is_a_new_folder_and_a_damaged_one_is_told(tmp_path: Path) -> None
 def test_without_rosbags_the_extra_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     import sys
 
-    monkeypatch.setitem(sys.modules, "rosbags.highlevel", None)
+    monkeypatch.setitem(sys.modules, "rosbags.typesys", None)
     with pytest.raises(GtcalError, match=r"needs the library rosbags: pip install 'gtcal\[bags\]'"):
         written(tmp_path, "ros_bag", rig_of("radtan"))
     assert not list(tmp_path.iterdir())

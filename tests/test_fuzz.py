@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import random
+from collections import Counter
+from collections.abc import Callable
 from pathlib import Path
 
 import fuzz
@@ -13,14 +16,15 @@ from gtcal.errors import GtcalError
 
 @pytest.mark.long
 def test_no_spoilt_file_is_more_than_refused() -> None:
-    failed, done, most_s, _ = fuzz.run(range(400), 12, workers=1)
+    failed, tallies = fuzz.run(range(1000), 12, workers=1)
     assert failed == []
-    assert done == 400
-    assert most_s < fuzz.SLOW_S
+    assert sum(tally.inputs for tally in tallies.values()) == 1000
+    assert sum(tally.refused + tally.taken for tally in tallies.values()) == 1000
+    assert max(tally.most_s for tally in tallies.values()) < fuzz.SLOW_S
 
 
 def test_after_its_time_it_begins_no_more() -> None:
-    assert fuzz.run(range(10), 12, workers=1, seconds=-1.0)[:2] == ([], 0)
+    assert fuzz.run(range(10), 12, workers=1, seconds=-1.0) == ([], {})
 
 
 @pytest.mark.parametrize(
@@ -32,8 +36,10 @@ def test_what_goes_wrong_is_counted(error: BaseException, kind: str, tmp_path: P
         raise error
 
     (tmp_path / "file").write_bytes(b"good 1 2 3")
-    (failed,), _ = fuzz.spoil_and_read(5, 0, [fuzz.Target("it", tmp_path / "file", read)])
+    failed, tally = spoil_and_read(tmp_path / "file", read)
+    assert failed is not None
     assert (failed.number, failed.target, failed.kind) == (5, "it", kind)
+    assert (tally.inputs, tally.refused, tally.taken, tally.failed) == (1, 0, 0, 1)
     assert (tmp_path / "file").read_bytes() == b"good 1 2 3"
 
 
@@ -42,13 +48,38 @@ def test_a_refusal_in_one_line_is_none(tmp_path: Path) -> None:
         raise GtcalError(message)
 
     (tmp_path / "file").write_bytes(b"good")
-    assert not fuzz.spoil_and_read(5, 0, [fuzz.Target("it", tmp_path / "file", lambda: read("one"))])[0]
-    assert fuzz.spoil_and_read(5, 0, [fuzz.Target("it", tmp_path / "file", lambda: read("two\nlines"))])[0]
+    failed, tally = spoil_and_read(tmp_path / "file", lambda: read("one"))
+    assert failed is None
+    assert (tally.refused, tally.taken, tally.failed) == (1, 0, 0)
+    failed, tally = spoil_and_read(tmp_path / "file", lambda: read("two\nlines"))
+    assert failed is not None
+    assert (tally.refused, tally.taken, tally.failed) == (1, 0, 1)
+
+
+def test_memory_is_that_of_the_input_alone(tmp_path: Path) -> None:
+    (tmp_path / "file").write_bytes(b"good")
+    much = spoil_and_read(tmp_path / "file", lambda: np.ones(10_000_000))[1]
+    little = spoil_and_read(tmp_path / "file", lambda: None)[1]
+    assert 70_000_000 < much.most_bytes < 120_000_000
+    assert little.most_bytes < 10_000_000
+
+
+def test_runs_are_added_up(tmp_path: Path) -> None:
+    one = {"a": fuzz.Tally(3, 2, 1, 0, 0.5, 7)}
+    fuzz.added_to(tmp_path / "sum.json", 1, Counter(slow=1), one)
+    other = {"a": fuzz.Tally(2, 2, 0, 0, 0.1, 9), "b": fuzz.Tally(1, 0, 1, 0)}
+    seeds, wrong, both = fuzz.added_to(tmp_path / "sum.json", 2, Counter(slow=1), other)
+    assert (seeds, wrong) == ([1, 2], {"slow": 2})
+    assert both == {"a": fuzz.Tally(5, 4, 1, 0, 0.5, 9), "b": fuzz.Tally(1, 0, 1, 0)}
+    with pytest.raises(SystemExit, match="holds seed 2 already"):
+        fuzz.added_to(tmp_path / "sum.json", 2, Counter(), other)
+
+
+def spoil_and_read(path: Path, read: Callable[[], object]) -> tuple[fuzz.Failed | None, fuzz.Tally]:
+    return fuzz.spoil_and_read(5, fuzz.Target("it", path, read), random.Random(0))
 
 
 def test_the_same_seed_spoils_the_same_and_every_way_spoils() -> None:
-    import random
-
     content = np.arange(256, dtype=np.uint8).tobytes() + b"\nfx: 500.5\nname: cam0\n"
     assert fuzz.spoilt(content, random.Random("3")) == fuzz.spoilt(content, random.Random("3"))
     assert len({fuzz.spoilt(content, random.Random(str(i))) for i in range(200)}) > 150

@@ -224,7 +224,7 @@ def test_a_bag_that_is_cut_off_ends_in_one_line_or_reads_the_same(types: Any, wr
         refused += 1
     assert refused == 25
     storage.unlink()
-    with pytest.raises(GtcalError, match=r"there is no such file|the bag can't be read"):
+    with pytest.raises(GtcalError, match=r"there is no such file|is not a ROS bag that can be read"):
         read_rosbag(path, "platform", NOTHING)
 
 
@@ -235,5 +235,5 @@ def test_no_bag_and_no_library(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
         read_rosbag(tmp_path, "platform", NOTHING)
     path = write_ros1(tmp_path / "bag", poses(ROS1, "/headset", "PoseStamped", HEADSET))
     monkeypatch.setitem(__import__("sys").modules, "rosbags.highlevel", None)
-    with pytest.raises(GtcalError, match=r"reading bags needs rosbags; pip install 'gtcal\[bags\]'"):
+    with pytest.raises(GtcalError, match=r"reading a ROS bag needs rosbags: pip install 'gtcal\[bags\]'"):
         read_rosbag(path, "platform", NOTHING)

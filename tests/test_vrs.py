@@ -89,10 +89,21 @@ def test_what_ends_the_library_does_not_end_this_program(tmp_path: Path) -> None
     path = file(tmp_path)
     content = path.read_bytes()
     path.write_bytes(content[:-2] + (301).to_bytes(2, "little"))
-    with pytest.raises(GtcalError, match="is damaged: VRS's reader does not survive opening it"):
+    with pytest.raises(GtcalError, match="is damaged: VRS's reader does not survive reading it"):
         vrs_images(path, "1201-1")
     path.write_bytes(content)
     assert len(vrs_images(path, "1201-1")) == len(PICTURES)
+
+
+@pytest.mark.parametrize("from_the_end", [80, 4])
+def test_nor_does_a_record_that_ends_it(from_the_end: int, tmp_path: Path) -> None:
+    """An index with sizes of records that are none: at the first, and at the last."""
+    path = write_vrs(tmp_path / "a.vrs", [image_stream(PICTURES, TIMES_S, CAPTURED_NS)])
+    content = path.read_bytes()
+    at = len(content) - from_the_end
+    path.write_bytes(content[:at] + b"\xff\xff\xff\x7f" + content[at + 4 :])
+    with pytest.raises(GtcalError, match="is damaged: VRS's reader does not survive reading it"):
+        vrs_images(path, "1201-1")
 
 
 def test_other_files_are_no_vrs(tmp_path: Path, capfd: pytest.CaptureFixture) -> None:

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from factors.rigid import inverse
+from gtcal.bags import opened_bag, words_of
 from gtcal.camera import FloatArray
 from gtcal.camera_files.fields import Field, rigid_from_quaternion
 from gtcal.camera_files.lenses import Expressed
@@ -45,9 +46,8 @@ def read_ros_bag(path: Path, options: ReadOptions) -> Rig:
     Raises GtcalError where rosbags is not installed, the bag is damaged, or a camera_info holds no lens of gtcal's."""
     if not path.exists():
         raise GtcalError(f"{path}: there is no such bag")
-    reader_of, stores, typestore = _rosbags()
     try:
-        with reader_of([path], default_typestore=typestore(stores.ROS2_HUMBLE)) as reader:
+        with opened_bag(path) as reader:
             infos = [(c.topic, _first(reader, c)) for c in reader.connections if c.msgtype == _INFO]
             first = {topic: info for topic, info in infos if info is not None}
             static = [c for c in reader.connections if c.msgtype == _TF and c.topic.endswith("tf_static")]
@@ -56,7 +56,7 @@ def read_ros_bag(path: Path, options: ReadOptions) -> Rig:
     except GtcalError:
         raise
     except Exception as error:  # rosbags raises errors of its own, and of sqlite, struct, ... for a damaged bag
-        raise GtcalError(f"{path}: can't be read as a bag: {' '.join(str(error).split()) or 'damaged'}") from error
+        raise GtcalError(f"{path}: can't be read as a bag: {words_of(error)}") from error
     if not first:
         raise GtcalError(f"{path}: there is no camera_info in the bag")
     cameras = [_camera(path, topic, info, options) for topic, info in first.items()]
@@ -69,7 +69,7 @@ def write_ros_bag(rig: Rig, path: Path, notes: Sequence[str], nearest: bool) -> 
 
     Raises GtcalError where rosbags is not installed, there is something at ``path`` already, or for a lens that ROS
     doesn't know unless ``nearest``."""
-    _rosbags()
+    _typestore()
     check_new(path)
     frames = frame_names(rig)
     found = {camera.name: express_for_ros(camera, nearest) for camera in rig.cameras}
@@ -83,13 +83,12 @@ def check_new(path: Path) -> None:
         raise GtcalError(f"{path}: there is something here already; a bag is a new folder")
 
 
-def _rosbags() -> tuple[Any, Any, Any]:
+def _typestore() -> Any:
     try:
-        from rosbags.highlevel import AnyReader
         from rosbags.typesys import Stores, get_typestore
     except ImportError:
         raise GtcalError(f"{TITLE} needs the library rosbags: pip install 'gtcal[bags]'") from None
-    return AnyReader, Stores, get_typestore
+    return get_typestore(Stores.ROS2_HUMBLE)
 
 
 def _first(reader: Any, connection: Any) -> Any:
@@ -129,8 +128,7 @@ def _placed(path: Path, messages: Sequence[Any]) -> dict[str, tuple[str, FloatAr
 def _write(rig: Rig, folder: Path, frames: dict[str, str], found: dict[str, Expressed], notes: Sequence[str]) -> None:
     from rosbags.rosbag2 import Writer
 
-    _, stores, typestore_of = _rosbags()
-    store = typestore_of(stores.ROS2_HUMBLE)
+    store = _typestore()
     with Writer(folder, version=9) as writer:
         writer.set_custom_data("gtcal", "; ".join(notes))
         for camera in rig.cameras:

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from gtcal.bags import opened_bag, words_of
 from gtcal.camera import FloatArray
 from gtcal.errors import GtcalError
 from gtcal.files import check_regular
@@ -93,14 +94,9 @@ def _chosen(path: Path, body: str, name: str | None, names: list[str]) -> str:
 
 
 def _bodies(path: Path) -> dict[str, _Body]:
-    try:
-        from rosbags.highlevel import AnyReader
-        from rosbags.typesys import Stores, get_typestore
-    except ImportError:
-        raise GtcalError(f"{path}: reading bags needs rosbags; pip install 'gtcal[bags]'") from None
     by_frame: dict[str, dict[str, _Body]] = {}
     try:
-        with AnyReader([path], default_typestore=get_typestore(Stores.LATEST)) as reader:
+        with opened_bag(path) as reader:
             wanted = [c for c in reader.connections if c.msgtype in _STAMPED or c.msgtype in _TF]
             checked: set[int] = set()
             for connection, _, raw in reader.messages(connections=wanted) if wanted else ():
@@ -116,10 +112,10 @@ def _bodies(path: Path) -> dict[str, _Body]:
                     messages.stamps_ns.append(stamp_ns)
                     messages.numbers.append(numbers)
             is_tf = {c.topic for c in wanted if c.msgtype in _TF}
+    except GtcalError:
+        raise
     except Exception as error:  # the library raises what its parsers, SQLite and the like do
-        raise GtcalError(
-            f"{path}: the bag can't be read: {' '.join(str(error).split()) or type(error).__name__}"
-        ) from error
+        raise GtcalError(f"{path}: the bag can't be read: {words_of(error)}") from error
     return {
         topic if len(frames) == 1 and topic not in is_tf else f"{topic}:{child}": messages
         for topic, frames in by_frame.items()

@@ -6,7 +6,6 @@ from __future__ import annotations
 import re
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,9 +14,9 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from gtcal.bags import open_bag, opened_bag, words_of
 from gtcal.bounds import added
 from gtcal.errors import GtcalError
-from gtcal.files import check_regular
 from gtcal.recordings.detections import IntArray
 from gtcal.recordings.images import GreyImage, InOneFile, decode_grey, of_size, relative
 
@@ -108,35 +107,6 @@ def image_topics(path: Path) -> dict[str, int]:
         return {name: info.msgcount for name, info in reader.topics.items() if info.msgtype in IMAGE_TYPES}
 
 
-@contextmanager
-def opened_bag(path: Path) -> Iterator[AnyReader]:
-    """A bag to read from. Raises GtcalError where rosbags is missing or the bag can't be read."""
-    reader = _reader(path)
-    try:
-        yield reader
-    finally:
-        reader.close()
-
-
-def _reader(path: Path) -> AnyReader:
-    check_regular(path)
-    try:
-        from rosbags.highlevel import AnyReader
-        from rosbags.typesys import Stores, get_typestore
-    except ImportError:
-        raise GtcalError("reading a ROS bag needs rosbags; install it with: pip install 'gtcal[bags]'") from None
-    try:
-        reader = AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
-        reader.open()
-    except Exception as error:  # whatever a damaged bag makes the library's parsers raise
-        raise GtcalError(f"{path}: is not a ROS bag that can be read, or is cut off: {_words(error)}") from None
-    return reader
-
-
-def _words(error: Exception) -> str:
-    return " ".join(str(error).split()) or type(error).__name__
-
-
 def _connections(path: Path, reader: AnyReader, topic: str | None) -> list[Connection]:
     found = [connection for connection in reader.connections if connection.topic == topic]
     if found and all(connection.msgtype in IMAGE_TYPES for connection in found):
@@ -158,7 +128,7 @@ def _messages(path: Path, reader: AnyReader, connections: list[Connection], **sp
         for connection, received_ns, data in reader.messages(connections, **span):
             yield reader.deserialize(data, connection.msgtype), received_ns
     except Exception as error:  # as above
-        raise GtcalError(f"{path}: is damaged or cut off: {_words(error)}") from None
+        raise GtcalError(f"{path}: is damaged or cut off: {words_of(error)}") from None
 
 
 def _header_ns(message: Any) -> int:
@@ -202,7 +172,7 @@ class _Readers:
 
     def _reader(self) -> AnyReader:
         if not hasattr(self._own, "reader"):
-            self._own.reader = _reader(self.path)
+            self._own.reader = open_bag(self.path)
         reader: AnyReader = self._own.reader
         return reader
 
