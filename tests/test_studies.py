@@ -12,9 +12,11 @@ import numpy as np
 import pytest
 import study_board
 import study_coverage
+import study_doctor
 import study_effects
 import study_halves
 import study_kernels
+import study_lens_modes
 import study_priors
 import table1_benchmark
 import table2_ablation
@@ -124,6 +126,30 @@ def test_effects() -> None:
     assert all(abs(one.deviation) < 5.0 for (one,) in found.values() if one.found)
     assert found[None, 0.0][0].others == ()
     assert study_effects.table_of(found).row_count == len(cases)
+
+
+@pytest.mark.long
+def test_lens_modes() -> None:
+    """A lens that is 0.3 % off is good where it moves; held it claims to be unsure, and taken as exact it is wrong."""
+    case = study_lens_modes.Case("0.3 %, 3 px", 40)
+    found = study_lens_modes.outcome((case, 5))
+    assert found is not None
+    assert found["auto"].error_mm < 0.2 * found["fixed"].error_mm
+    assert found["auto"].nees_per_dof < 4.0
+    assert found["fixed"].nees_per_dof < 4.0
+    assert found["exact"].nees_per_dof > 10.0
+    assert study_lens_modes.table_of({case: [found]}).row_count == 1
+
+
+@pytest.mark.long
+def test_doctor() -> None:
+    runs = study_doctor.runs_of(24, 0)
+    assert {(run.kind, run.motion) for run in runs} == {
+        (kind, motion) for kind in study_doctor.KINDS for motion in study_doctor.MOTIONS
+    }
+    said = [study_doctor.findings_of(run) for run in runs[:2]]
+    assert said == [(), ()]
+    assert study_doctor.table_of(runs[:2], [("units",), ()]).row_count == 2
 
 
 @pytest.mark.long
