@@ -56,7 +56,7 @@ class TurnedViews:
     @property
     def statement(self) -> str:
         """What, when, and what to do, in a line."""
-        axis = ", ".join(f"{component:.2f}" for component in self.axis)
+        axis = ", ".join(f"{component + 0.0:.2f}" for component in np.round(self.axis, 2))
         return (
             f"{self.n_views} of the views left out go with the rest if {self.body} is turned by {self.turn_deg:.0f} "
             f"deg about its axis ({axis}), {self._when}: its markers, or the board on it, look the same so turned, and "
@@ -92,11 +92,17 @@ def turned_views(observations: Observations, estimate: Estimate, used: Mapping[s
     return TurnedViews(
         body=body,
         turn_deg=nearest_deg,
-        axis=turn.as_rotvec() / turn.magnitude(),
+        axis=_axis(turn, nearest_deg),
         stamps_ns={str(name): all_ns[agree & (names == name)] for name in np.unique(names[agree])},
         start_ns=min(int(views.stamps_ns[0]) for views in observations.views.values()),
         numbered=observations.motion.numbered,
     )
+
+
+def _axis(turn: Rotation, turn_deg: float) -> FloatArray:
+    """(3,), of half a turn, which is the same about both, the one whose largest component is positive."""
+    axis = turn.as_rotvec() / turn.magnitude()
+    return np.asarray(-axis if turn_deg == 180.0 and axis[np.argmax(np.abs(axis))] < 0.0 else axis)
 
 
 def _left_out(views: Views, used: Views) -> Views:
