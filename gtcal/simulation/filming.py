@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -10,25 +11,40 @@ import cv2
 import numpy as np
 
 from factors.rigid import inverse
+from gtcal.board import Board
+from gtcal.camera import FloatArray
 from gtcal.cores import all_cores
-from gtcal.errors import GtcalError
 from gtcal.files import write_aside
 from gtcal.progress import Progress
 from gtcal.recordings.images import GreyImage, Images, ImageSequence
 from gtcal.simulation.backdrop import GreyPicture, room
-from gtcal.simulation.rendering import Lens, Plate, lens_of, plate_of, render, sub_exposures
+from gtcal.simulation.rendering import (
+    Lens,
+    Plate,
+    Shown,
+    band_edges,
+    bands,
+    lens_of,
+    plate_of,
+    render_all,
+    sub_exposures,
+)
 from gtcal.simulation.simulate import Simulation
 
 
 @dataclass(frozen=True)
 class Studio:
-    """What all images of a simulation have in common."""
+    """What all images of a simulation have in common. others: boards that are carried along with its own, each with
+    its place on that, board_T_other (4, 4): the other faces of a device."""
 
     simulation: Simulation
+    others: Sequence[tuple[Board, FloatArray]] = ()
 
     @cached_property
-    def plate(self) -> Plate:
-        return plate_of(self.simulation.options.board)
+    def plates(self) -> tuple[tuple[Plate, FloatArray], ...]:
+        """With their places on the first."""
+        boards = ((self.simulation.options.board, np.eye(4)), *self.others)
+        return tuple((plate_of(board), board_T_other) for board, board_T_other in boards)
 
     @cached_property
     def room(self) -> GreyPicture:
@@ -43,25 +59,39 @@ class Studio:
         options, scene = self.simulation.options.images, self.simulation.scene
         time_s = self.simulation.frame_times_s[frame]
         ends_s = time_s + options.exposure_s * np.array([-0.5, 0.5])
-        n = sub_exposures(lens.camera, self.plate, scene.camera_T_board(camera_index, ends_s))
+        ends = scene.camera_T_board(camera_index, ends_s)
+        n = max(sub_exposures(lens.camera, plate, ends @ board_T_other) for plate, board_T_other in self.plates)
         steps_s = options.exposure_s * ((np.arange(n) + 0.5) / n - 0.5)
-        camera_T_board = scene.camera_T_board(camera_index, time_s + steps_s)
+        at_s = time_s + self._rows_after_s(lens, camera_index, time_s)[:, None] + steps_s
+        camera_T_board = scene.camera_T_board(camera_index, at_s.ravel()).reshape(*at_s.shape, 4, 4)
+        shown = [Shown(plate, camera_T_board @ board_T_other) for plate, board_T_other in self.plates]
         camera_T_world = inverse(scene.world_T_camera(camera_index, np.array([time_s])))[0]
         noise = self.simulation.stream("sensor", camera_index, frame)
-        return render(lens, self.plate, self.room, camera_T_board, camera_T_world, options, noise)
+        return render_all(lens, shown, self.room, camera_T_world, options, noise)
+
+    def _rows_after_s(self, lens: Lens, camera_index: int, time_s: float) -> FloatArray:
+        """(R,) how long after the image's stamp each band of rows is exposed: a single band, at once, of a shutter that
+        does not roll."""
+        camera = lens.camera
+        shutter = camera.rolling_shutter
+        if shutter is None or shutter.readout_s is None:
+            return np.zeros(1)
+        height_px = camera.image_height_px
+        ends_s = time_s + shutter.readout_s * shutter.readout_shares(np.array([0.0, height_px - 1.0]), height_px)
+        ends = self.simulation.scene.camera_T_board(camera_index, ends_s)
+        n = max(bands(camera, plate, ends @ board_T_other) for plate, board_T_other in self.plates)
+        edges = band_edges(n, height_px)
+        middles_px = 0.5 * (edges[:-1] + edges[1:] - 1.0).astype(np.float64)
+        return np.asarray(shutter.readout_s * shutter.readout_shares(middles_px, height_px))
 
 
-def film(simulation: Simulation, folder: Path, progress: Progress) -> dict[str, Images]:
-    """Render every frame of every camera into ``folder/<camera>/<stamp_ns>.png``.
+def film(
+    simulation: Simulation, folder: Path, progress: Progress, *, others: Sequence[tuple[Board, FloatArray]] = ()
+) -> dict[str, Images]:
+    """Render every frame of every camera into ``folder/<camera>/<stamp_ns>.png``. others: as of ``Studio``.
 
-    Raises GtcalError where the folder can't be written, or a camera has a rolling shutter."""
-    for camera in simulation.options.rig.cameras:
-        if camera.rolling_shutter is not None:
-            raise GtcalError(
-                f"camera {camera.name!r} has a rolling shutter, and images are rendered with all rows exposed at once; "
-                "simulate detections in place of images"
-            )
-    studio = Studio(simulation)
+    Raises GtcalError where the folder can't be written."""
+    studio = Studio(simulation, others)
     done, total = 0, len(simulation.options.rig.cameras) * len(simulation.frame_times_s)
     sequences: dict[str, Images] = {}
     with all_cores() as pool:

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from factors.rigid import inverse
+from gtcal.board import Board
 from gtcal.camera import Camera, FloatArray
 from gtcal.errors import GtcalError
 from gtcal.progress import Progress, silent
@@ -159,17 +160,20 @@ def write_lollypop_simulation(
     """Write a simulated recording into an empty or new folder and return its manifest: with rendered images in place
     of detections where ``images``.
 
-    Raises GtcalError where the folder holds something or can't be written, or images are asked for of a device with
-    several faces."""
+    Raises GtcalError where the folder holds something or can't be written."""
     folder = Path(folder)
     check_empty(folder)
     recording = simulation.recording
     if images:
-        if len(recording.device.faces) > 1:
-            raise GtcalError("images are rendered of devices with one face only; simulate detections")
-        sequences = film(simulation.world, folder / "images", progress)
+        sequences = film(simulation.world, folder / "images", progress, others=others_of(recording.device))
         recording = replace(recording, detections={}, images=sequences)
     return write_lollypop_recording(recording, folder, mocap_format=mocap_format)
+
+
+def others_of(device: Lollypop) -> tuple[tuple[Board, FloatArray], ...]:
+    """The boards of all faces but the first, each with its place on that, board_T_other (4, 4)."""
+    first, *rest = device.faces
+    return tuple((face.board, inverse(first.body_T_board) @ face.body_T_board) for face in rest)
 
 
 def exact_calibration(

@@ -10,7 +10,9 @@ distance, and a corner of the print lies where the camera model projects it.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import cv2
 import numpy as np
@@ -35,6 +37,7 @@ _OUTLINE_POINTS = 65  # along each side of the plate, to find where it is in the
 _MARGIN_MODULES = 3.0  # of white around the pattern
 _STEP_PX = 0.5  # of motion between two sub-exposures
 _MOST_SUB_EXPOSURES = 24
+_BAND_STEP_PX = 0.05  # of motion between two bands of rows that a rolling shutter exposes one after the other
 _BACK = 0.3  # brightness of the board's unprinted side
 
 
@@ -110,6 +113,28 @@ def lens_of(camera: Camera, options: ImageOptions, rng: np.random.Generator) -> 
     return Lens(camera, corner_bearings, np.nan_to_num(light, nan=0.0).astype(np.float32))
 
 
+@dataclass(frozen=True)
+class Shown:
+    """A plate before a camera.
+
+    camera_T_board: (R, S, 4, 4) its poses in S sub-exposures of each of R bands of rows, from the upper one on: one
+        band where all rows are exposed at once."""
+
+    plate: Plate
+    camera_T_board: FloatArray
+
+    @property
+    def middle(self) -> FloatArray:
+        """(4, 4) amid the exposure."""
+        n_bands, n_steps = self.camera_T_board.shape[:2]
+        return np.asarray(self.camera_T_board[n_bands // 2, n_steps // 2])
+
+    @property
+    def nearness(self) -> tuple[bool, float]:
+        """Of two plates the larger one hides the other: a printed side hides backs, what is near what is far."""
+        return bool(inverse(self.middle)[2, 3] > 0.0), -float(np.linalg.norm(self.middle[:3, 3]))
+
+
 def render(
     lens: Lens,
     plate: Plate,
@@ -121,14 +146,27 @@ def render(
 ) -> GreyImage:
     """One image, uint8 (H, W), of the board at camera_T_board (S, 4, 4), the poses of the sub-exposures, in
     front of the room as seen from camera_T_world (4, 4). ``rng`` makes the sensor's noise."""
+    return render_all(lens, [Shown(plate, camera_T_board[None])], picture, camera_T_world, options, rng)
+
+
+def render_all(
+    lens: Lens,
+    plates: Sequence[Shown],
+    picture: GreyPicture,
+    camera_T_world: FloatArray,
+    options: ImageOptions,
+    rng: np.random.Generator,
+) -> GreyImage:
+    """... of several plates, of which the nearer ones hide the others."""
     shape = lens.light.shape
     shine, cover = np.zeros(shape, dtype=np.float32), np.zeros(shape, dtype=np.float32)
-    for pose in camera_T_board:
-        _expose(lens, plate, pose, options, 1.0 / len(camera_T_board), shine, cover)
-    middle = camera_T_board[len(camera_T_board) // 2]
-    shade = _shade(inverse(camera_T_world)[:3, :3] @ middle[:3, 2], options)
+    for shown in sorted(plates, key=lambda one: one.nearness):
+        shade = _shade(inverse(camera_T_world)[:3, :3] @ shown.middle[:3, 2], options)
+        own_shine, own_cover = _exposed(lens, shown, options)
+        shine = (1.0 - own_cover) * shine + np.float32(shade) * own_shine
+        cover += (1.0 - cover) * own_cover
     scene = np.empty(shape, dtype=np.float32)
-    _compose(shine, cover, lens.corner_bearings, camera_T_world, picture, shade, scene)
+    _compose(shine, cover, lens.corner_bearings, camera_T_world, picture, scene)
     scene *= lens.light
     if options.blur_px > 0.0:
         cv2.GaussianBlur(scene, (0, 0), options.blur_px, dst=scene, borderType=cv2.BORDER_REPLICATE)
@@ -138,11 +176,26 @@ def render(
 def sub_exposures(camera: Camera, plate: Plate, camera_T_board: FloatArray) -> int:
     """How many poses stand for an exposure that begins and ends at camera_T_board (2, 4, 4): so many that the
     plate moves by half a pixel between two."""
+    return int(np.clip(np.ceil(_moved_px(camera, plate, camera_T_board) / _STEP_PX), 1, _MOST_SUB_EXPOSURES))
+
+
+def bands(camera: Camera, plate: Plate, camera_T_board: FloatArray) -> int:
+    """How many bands of rows stand for a readout that begins and ends at camera_T_board (2, 4, 4)."""
+    moved_px = _moved_px(camera, plate, camera_T_board)
+    return int(np.clip(np.ceil(moved_px / _BAND_STEP_PX), 1, camera.image_height_px))
+
+
+def band_edges(n_bands: int, height_px: int) -> npt.NDArray[np.int64]:
+    """(R + 1,) the first row of each band, and the number of rows."""
+    return np.arange(n_bands + 1, dtype=np.int64) * height_px // n_bands
+
+
+def _moved_px(camera: Camera, plate: Plate, camera_T_board: FloatArray) -> float:
+    """By how much the plate moves in the image between two poses (2, 4, 4), where it moves most."""
     outline = _outline(plate)
     (start_px, _), (end_px, _) = (camera.project(apply(pose, outline)) for pose in camera_T_board)
     moved_px = np.linalg.norm(end_px - start_px, axis=1)
-    farthest_px = np.nanmax(moved_px) if np.isfinite(moved_px).any() else 0.0
-    return int(np.clip(np.ceil(farthest_px / _STEP_PX), 1, _MOST_SUB_EXPOSURES))
+    return float(np.nanmax(moved_px)) if np.isfinite(moved_px).any() else 0.0
 
 
 def _shade(normal_in_world: FloatArray, options: ImageOptions) -> float:
@@ -181,17 +234,35 @@ def _region(camera: Camera, plate: Plate, camera_T_board: FloatArray) -> tuple[i
     return int(x0), int(y0), int(x1), int(y1)
 
 
+def _exposed(
+    lens: Lens, shown: Shown, options: ImageOptions
+) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
+    """The light of a plate, and the share of each pixel that it takes, both (H, W)."""
+    shape = lens.light.shape
+    shine, cover = np.zeros(shape, dtype=np.float32), np.zeros(shape, dtype=np.float32)
+    n_bands, n_steps = shown.camera_T_board.shape[:2]
+    for rows, poses in zip(pairwise(band_edges(n_bands, shape[0]).tolist()), shown.camera_T_board, strict=True):
+        for pose in poses:
+            _expose(lens, shown.plate, pose, options, rows, 1.0 / n_steps, shine, cover)
+    return shine, cover
+
+
 def _expose(
     lens: Lens,
     plate: Plate,
     camera_T_board: FloatArray,
     options: ImageOptions,
+    rows: tuple[int, int],
     weight: float,
     shine: npt.NDArray[np.float32],
     cover: npt.NDArray[np.float32],
 ) -> None:
     """Add one sub-exposure of the board to ``shine``, its light, and ``cover``, the share of each pixel that it
-    takes, both (H, W)."""
+    takes, both (H, W), in the rows from the first on to before the second."""
+    x0, y0, x1, y1 = _region(lens.camera, plate, camera_T_board)
+    y0, y1 = max(y0, rows[0]), min(y1, rows[1])
+    if y0 >= y1:
+        return
     board_T_camera = inverse(camera_T_board)
     from_front = board_T_camera[2, 3] > 0.0
     black_white = (options.black_grey / options.white_grey, 1.0) if from_front else (_BACK, _BACK)
@@ -203,7 +274,7 @@ def _expose(
         black_white,
         options.subdivisions,
         weight,
-        _region(lens.camera, plate, camera_T_board),
+        (x0, y0, x1, y1),
         shine,
         cover,
     )
@@ -346,14 +417,13 @@ def _compose(
     corner_bearings: npt.NDArray[np.float32],
     camera_T_world: FloatArray,
     picture: GreyPicture,
-    shade: float,
     scene: npt.NDArray[np.float32],
 ) -> None:
     """The board in its light, in front of the room, in shares of white, into scene (H, W)."""
     R = camera_T_world
     for row in range(scene.shape[0]):
         for i in range(scene.shape[1]):
-            light = shade * shine[row, i]
+            light = float(shine[row, i])
             bx, by, bz = corner_bearings[row, i, 0], corner_bearings[row, i, 1], corner_bearings[row, i, 2]
             if cover[row, i] < 1.0 and not math.isnan(bz):
                 x = R[0, 0] * bx + R[1, 0] * by + R[2, 0] * bz
