@@ -58,10 +58,10 @@ class Prepared:
     verify: tuple[Job, ...]
 
 
-def prepared(folder: Path, frames: int, workers: int, n_days: int = 14) -> Prepared:
+def prepared(folder: Path, frames: int, n_days: int = 7) -> Prepared:
     """Simulated, and calibrated."""
     options = FleetOptions(n_rigs=1, n_days=n_days, verification_frames=frames, calibrated_every=n_days)
-    jobs = read_jobs(write_fleet(folder / "recordings", options, workers=workers))
+    jobs = read_jobs(write_fleet(folder / "recordings", options, workers=0))
     calibrate = next(job for job in jobs if job.kind == "calibrate")
     first = Store.made(folder / "first")
     run_batch(first, [calibrate], InThisProcess(), COMMAND)
@@ -142,7 +142,7 @@ def measured(folder: Path, jobs: tuple[Job, ...], n: int, workers: int) -> Grown
     """A batch of n jobs into a new store, the same again, history and site."""
     store, wanted = Store.made(folder / f"store{n}"), many(jobs, n)
     with store.locked(), dask_workers(jobs=workers) as cluster:
-        warm = [replace(job, rig="warm") for job in many(jobs, 4 * workers, 1)]
+        warm = [replace(job, rig="warm") for job in many(jobs, 2 * workers, 1)]
         run_batch(store, warm, cluster, COMMAND)  # kernels are compiled or read in every worker
         all_s, own_s, started = cpu_s(), time.process_time(), time.perf_counter()
         assert not run_batch(store, wanted, cluster, COMMAND).failed
@@ -164,7 +164,7 @@ def memory_mib() -> float:
 
 
 def of_batches(console: Console, folder: Path, arguments: argparse.Namespace) -> None:
-    workers, made = arguments.workers, prepared(folder, arguments.frames, arguments.workers)
+    workers, made = arguments.workers, prepared(folder, arguments.frames)
     solve = bare(list(made.verify), workers)
     grown = [measured(folder, made.verify, n, workers) for n in sizes(arguments.jobs or 1000)]
     rate = 60.0 * workers / solve.job_s
@@ -227,7 +227,7 @@ def without_solve(folder: Path, jobs: tuple[Job, ...], outcome: Outcome, n: int)
 
 
 def of_index(console: Console, folder: Path, arguments: argparse.Namespace) -> None:
-    made = prepared(folder, arguments.frames, arguments.workers, n_days=7)
+    made = prepared(folder, arguments.frames)
     outcome = run_task(Task(made.verify[0], COMMAND))
     table = Table(title="jobs without the solve: scheduled, written and indexed by one process")
     for heading in ("jobs", "s", "ms a job", "histories, s", "MiB"):
@@ -258,7 +258,7 @@ def opened_ms(page: Path, folder: Path) -> float:
 
 
 def of_site(console: Console, folder: Path, arguments: argparse.Namespace) -> None:
-    made, n = prepared(folder, arguments.frames, arguments.workers), arguments.jobs or 1000
+    made, n = prepared(folder, arguments.frames), arguments.jobs or 1000
     outcomes = {job.identity: run_task(Task(job, COMMAND)) for job in made.verify}
 
     def known(task: Task) -> Outcome:

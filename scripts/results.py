@@ -2,6 +2,7 @@
 
     python scripts/results.py --list                 # which there are
     python scripts/results.py study_basins.py        # one of them, or several
+    python scripts/results.py "benchmark_fleet.py site"        # of a script's several, that with these arguments
     python scripts/results.py                        # all: hours
 
 A block of RESULTS.md follows a line `<!-- run: SCRIPT ARGUMENTS -->`; what the script prints takes the place of the
@@ -34,6 +35,11 @@ _WIDTH = "150"
 def commands(text: str) -> list[str]:
     """The studies that a file of results names, with their arguments."""
     return [found["command"] for found in _RUN.finditer(text)]
+
+
+def names(name: str, command: str) -> bool:
+    """Whether it is the command's script, or how the command begins."""
+    return command.split()[: len(name.split())] == name.split()
 
 
 def renewed(text: str, command: str, printed: str, stamp: str) -> str:
@@ -70,15 +76,15 @@ def _processor() -> str:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("scripts", nargs="*", help="names of scripts; all of them by default")
+    parser.add_argument("scripts", nargs="*", help="names of scripts, or commands; all of them by default")
     parser.add_argument("--list", action="store_true", help="print the commands, and run nothing")
     arguments = parser.parse_args()
     known = commands(RESULTS.read_text(encoding="utf-8"))
-    wrong = [name for name in arguments.scripts if name not in {command.split()[0] for command in known}]
+    wrong = [name for name in arguments.scripts if not any(names(name, command) for command in known)]
     if wrong:
         parser.error(f"{wrong[0]}: RESULTS.md has no results of it; it has those of {', '.join(known)}")
     for command in known:
-        if arguments.scripts and command.split()[0] not in arguments.scripts:
+        if arguments.scripts and not any(names(name, command) for name in arguments.scripts):
             continue
         print(command, flush=True)
         if not arguments.list:

@@ -90,10 +90,9 @@ class InThisProcess:
 class DaskWorkers:
     """The workers of a Dask cluster, one task each."""
 
-    def __init__(self, client: Client, do: DoTask = run_shared, *, own: bool = False) -> None:
-        """own: the cluster is this batch's, and nobody else adds workers to it."""
-        self._client, self._do, self._own = client, do, own
-        self._where = "" if own else str(client.scheduler_info()["address"])
+    def __init__(self, client: Client, do: DoTask = run_shared, *, where: str = "") -> None:
+        """where: the address of a cluster that is not this batch's own, to which others may add workers."""
+        self._client, self._do, self._where = client, do, where
         self._told_to_wait = False
         self._seen_s = time.monotonic()
         self._ended: queue.SimpleQueue[tuple[int, Task, Any]] = queue.SimpleQueue()
@@ -122,7 +121,7 @@ class DaskWorkers:
     def _check_left(self, there: int) -> None:
         if there:
             self._seen_s, self._told_to_wait = time.monotonic(), False
-        elif not self._own:
+        elif self._where:
             if time.monotonic() > self._seen_s + _TOLD_AFTER_S and not self._told_to_wait:
                 self._told_to_wait = True
                 _log.warning("the cluster at %s has no workers; waiting for them", self._where)
@@ -195,7 +194,7 @@ def dask_workers(
                 raise GtcalError(f"--scheduler {scheduler}: no Dask scheduler answers there: {error}") from None
             with client:
                 client.register_plugin(_one_core_each())
-                yield DaskWorkers(client, do)
+                yield DaskWorkers(client, do, where=scheduler)
             return
         cluster = LocalCluster(
             n_workers=jobs or n_cores(),
@@ -206,7 +205,7 @@ def dask_workers(
         )
         with cluster, Client(cluster) as client:
             client.register_plugin(_one_core_each())
-            yield DaskWorkers(client, do, own=True)
+            yield DaskWorkers(client, do)
 
 
 def _silence_dask() -> None:
