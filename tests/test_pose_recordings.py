@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,10 +15,12 @@ from factors_support import numeric_derivative
 from support import replace_once
 
 from factors.rigid import inverse
+from gtcal import CalibrationOptions
 from gtcal.baselines.closed_forms import CLOSED_FORMS
 from gtcal.camera import FloatArray
 from gtcal.errors import GtcalError
 from gtcal.estimation.linear import squared_distance
+from gtcal.estimation.observations import synchronise
 from gtcal.estimation.pose_joint import (
     JointPoses,
     PoseChain,
@@ -26,12 +30,15 @@ from gtcal.estimation.pose_joint import (
     stage_2_of_poses,
     stage_3_of_poses,
 )
-from gtcal.pose_recordings.calibration import closed_forms
+from gtcal.pose_recordings.calibration import calibrate_pose_recording, closed_forms
 from gtcal.pose_recordings.calibration_file import read_pose_calibration
-from gtcal.pose_recordings.recording import load_pose_recording
+from gtcal.pose_recordings.doctor import diagnose_poses
+from gtcal.pose_recordings.frames import pose_frames
+from gtcal.pose_recordings.recording import PoseRecording, load_pose_recording
 from gtcal.readers import write_euroc_csv, write_tum
 from gtcal.readers.pose_list import write_pose_list
 from gtcal.recordings.trajectory import Trajectory
+from gtcal.simulation import MocapNoise, SimulationOptions, simulate
 
 CAMERA_SIGMAS = np.repeat([1e-3, 5e-4], 3)
 MOCAP_SIGMAS = np.repeat([5e-4, 4e-4], 3)
@@ -181,12 +188,25 @@ def test_the_command_writes_what_is_read_back(found: tuple, tmp_path: Path) -> N
     np.testing.assert_allclose(differences(back.chain, joint.chain), 0.0, atol=1e-5)
     assert back.cameras["left"].statistics.n_views == views["left"].n_views
     assert "Shah" in run("compare", folder).out
-    refused = run(
-        "calibrate", folder, "-o", tmp_path / "x.json", "--clock", "estimate", "--report", tmp_path / "x.html"
-    )
+    refused = run("calibrate", folder, "-o", tmp_path / "x.json", "--segments", "auto", "--kernel", "Huber")
     assert refused.code == 1
-    assert "poses in place of corners, which have no use for report, clock" in refused.err
-    assert "'gtcal calibrate' and 'gtcal compare' take" in run("doctor", folder).err
+    assert "poses in place of corners, which have no use for robust, segments" in refused.err
+    assert "'gtcal calibrate', 'compare', 'doctor' and 'report' take" in run("info", folder).err
+
+
+def test_the_report_shows_poses_in_mm_and_deg(found: tuple, tmp_path: Path) -> None:
+    folder = written(tmp_path / "recording", found[0])
+    assert run("calibrate", folder, "-o", tmp_path / "p.json", "--report", tmp_path / "p.html", "-q").code == 0
+    page = (tmp_path / "p.html").read_text()
+    for expected in ("Residual over time", "shift, mm", "rotation, deg", "Daniilidis", "Residual by axis"):
+        assert expected in page
+    assert run("report", tmp_path / "p.json", "-o", tmp_path / "bare.html").code == 0
+    assert "Residual over time" not in (tmp_path / "bare.html").read_text()
+    again = run("report", tmp_path / "p.json", "--recording", folder, "-o", tmp_path / "again.html")
+    assert again.code == 0
+    assert (tmp_path / "again.html").read_text() == page
+    with_lollypop = run("report", tmp_path / "p.json", "--verification", tmp_path / "v.json")
+    assert "is a calibration from poses, without lenses" in with_lollypop.err
 
 
 @pytest.mark.parametrize(
@@ -221,3 +241,94 @@ def test_inverse_poses_may_be_stated(found: tuple, tmp_path: Path) -> None:
         replace_once(folder / "recording.yaml", f"views: {name}.tum", new)
     loaded = load_pose_recording(folder)
     np.testing.assert_allclose(loaded.views["left"].camera_T_board, views["left"].camera_T_board, atol=1e-12)
+
+
+def test_the_frames_derivatives_are_numeric_ones(found: tuple, tmp_path: Path) -> None:
+    views, _, joint = found
+    motion = load_pose_recording(written(tmp_path / "recording", views)).motion
+    frames = pose_frames(views, motion, joint.chain)
+    assert frames is not None
+    row, name = 3, "right"
+    v = frames.of_views[name]
+    index = int(np.searchsorted(frames.of_frames.frame_index, v.frame_index[row]))
+    Y, A, X = joint.chain.camera_T_ref[name], v.ref_T_body[row], joint.chain.body_T_board
+
+    def residual(xi: FloatArray) -> FloatArray:
+        moved = (gtsam.Pose3.Expmap(xi[start : start + 6]).matrix() for start in (0, 6, 18))
+        A_moved, X_moved, Y_moved = (pose @ step for pose, step in zip((A, X, Y), moved, strict=True))
+        one = PoseViews(v.stamps_ns[:1], v.frame_index[:1], A_moved[None], v.camera_T_board[row][None])
+        return one.residuals(Y_moved, X_moved)[0][0]
+
+    J = numeric_derivative(residual, np.zeros(24), 1e-6)
+    shift = np.zeros((len(frames.stamps_ns), 24))
+    shift[index] = np.random.default_rng(0).normal(size=24) * 1e-4
+    moved = frames.moved(name, shift)
+    before, after = (u.residuals(Y, X)[0][row] for u in (v, moved))
+    np.testing.assert_allclose(after - before, J @ shift[index], atol=2e-7)
+
+
+@pytest.mark.parametrize(
+    ("change", "fault", "line"),
+    [
+        (inverse, "inverse poses", "cameras.left.views: {file: left.tum, format: tum, pose: board_T_camera}"),
+        (lambda B: B * np.array([[1, 1, 1, 1000.0]] * 3 + [[1] * 4]), "units", "cameras.left.views: .*length_unit: mm"),
+    ],
+)
+def test_the_doctor_names_what_is_wrong_with_the_cameras_poses(
+    change: Callable[[FloatArray], FloatArray], fault: str, line: str, found: tuple, tmp_path: Path
+) -> None:
+    wrong = {name: replace(v, camera_T_board=change(v.camera_T_board)) for name, v in found[0].items()}
+    diagnosis = diagnose_poses(written(tmp_path / "recording", wrong))
+    assert [finding.fault for finding in diagnosis.findings] == [fault]
+    assert re.search(line, diagnosis.lines[0])
+
+
+@pytest.mark.long
+def test_the_doctor_leaves_a_sound_recording_alone(found: tuple, tmp_path: Path) -> None:
+    folder = written(tmp_path / "recording", found[0])
+    assert diagnose_poses(folder).healthy
+    assert run("doctor", folder).code == 0
+
+
+def moving(seed: int, *, early_s: float = 0.0, slip: FloatArray | None = None) -> PoseRecording:
+    """A simulated headset's poses, stamped too early, from the middle on of a board that slipped on its body."""
+    simulation = simulate(SimulationOptions(mocap=MocapNoise(translation_mm=0.1, rotation_deg=0.01)), seed=seed)
+    observations, rng = synchronise(simulation.recording), np.random.default_rng(seed)
+    views = {}
+    for index, (name, v) in enumerate(observations.views.items()):
+        taken = np.isin(simulation.truth.cameras[name].stamps_ns, v.stamps_ns)
+        true = simulation.scene.camera_T_board(index, simulation.frame_times_s[taken])
+        seen = true @ _poses(rng, len(true), CAMERA_SIGMAS)
+        late = v.stamps_ns > (v.stamps_ns[0] + v.stamps_ns[-1]) // 2
+        seen[late] = seen[late] if slip is None else seen[late] @ slip
+        stamps = v.stamps_ns - round(1e9 * early_s)
+        at = observations.motion.at(stamps)
+        views[name] = PoseViews(stamps[at.ok], v.frame_index[at.ok], at.ref_T_body[at.ok], seen[at.ok])
+    return PoseRecording(Path("none"), observations.capture, views, observations.motion, (), (), ())
+
+
+@pytest.mark.long
+def test_the_clocks_offset_is_found_and_corrected() -> None:
+    recording = moving(3, early_s=0.02)
+    trusted = calibrate_pose_recording(recording)
+    assert any("--clock estimate" in line for line in trusted.warnings)
+    corrected = calibrate_pose_recording(recording, CalibrationOptions(clock="estimate"))
+    assert corrected.clock is not None
+    name = next(iter(corrected.cameras))
+    assert abs(corrected.clock.offset_s[name] - 0.02) < 4.0 * corrected.clock.sigma_s[name] < 2e-3
+    fits = [c.cameras[name].statistics.shift_rms_mm for c in (corrected, trusted)]
+    assert fits[0] < 0.5 * fits[1]
+
+
+@pytest.mark.long
+def test_a_board_that_slipped_is_named_and_sized() -> None:
+    slip = gtsam.Pose3.Expmap(np.array([0, 0, 0.004, 0.002, 0, 0])).matrix()
+    found = calibrate_pose_recording(moving(3, slip=slip))
+    (change, *others) = [effect for effect in found.effects if effect.significant]
+    assert not others
+    assert change.name == "board_body markers moved"
+    by_mm, by_deg = change.estimate
+    assert abs(by_deg.value - np.rad2deg(0.004)) < 4.0 * by_deg.sigma
+    assert change.moment is not None
+    assert any("as two recordings" in line for line in found.warnings)
+    assert by_mm.unit == "mm"

@@ -41,11 +41,11 @@ class PoseFrames(Frames):
 
     def shifted_noise(self, shift: FloatArray) -> Frames | None:
         """The same with the noise that the poses show once their frames' tangents are shifted by (n, D - 1)."""
-        moved = {name: self._moved(name, shift) for name in self.of_views}
+        moved = {name: self.moved(name, shift) for name in self.of_views}
         return _frames(self.of_views, self.motion, self.chain, _noise_of(moved, self.chain))
 
-    def _moved(self, name: str, shift: FloatArray) -> PoseViews:
-        """A camera's poses, put where their residuals are those at the shifted tangents."""
+    def moved(self, name: str, shift: FloatArray) -> PoseViews:
+        """A camera's poses, put where their residuals are those at tangents shifted by (n, D - 1)."""
         v = self.of_views[name]
         r, J = _rows(v, self.chain, name, self)
         rows = np.searchsorted(self.of_frames.frame_index, v.frame_index)

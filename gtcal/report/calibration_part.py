@@ -140,6 +140,7 @@ class CalibrationPart:
     details: tuple[CameraDetails, ...]
     board: str
     board_pose: PoseText
+    other_boards: tuple[PoseText, ...]
     board_shape: Picture | None
     carried_over: tuple[str, ...]
     covariance_meaning: str
@@ -176,6 +177,15 @@ def calibration_part(
         ),
         board=board_from_manifest(calibration.board).describe(),
         board_pose=_board_pose(calibration),
+        other_boards=tuple(
+            pose_text(
+                f"body_T_{board.name}",
+                f"where {board.name} sits in the {BODY_NAMES[board.capture]}",
+                board.body_T_board,
+                board.body_T_board.position_of_b_in_a_sigma_mm,
+            )
+            for board in calibration.other_boards
+        ),
         board_shape=shape_picture(calibration),
         carried_over=_carried_over(calibration.carried_over),
         covariance_meaning=covariance_meaning(calibration),
