@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import os
 import shutil
+import sqlite3
 import stat
 import sys
 from collections.abc import Iterable, Iterator
@@ -93,7 +94,7 @@ def _check_writable(path: Path, target: Path) -> None:
         raise _unwritable(path, error) from error
 
 
-def _unwritable(path: Path, error: OSError | ValueError) -> GtcalError:
+def _unwritable(path: Path, error: Exception) -> GtcalError:
     said = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
     return GtcalError(f"{path}: can't be written: {said}")
 
@@ -132,10 +133,22 @@ def staged(path: Path) -> Iterator[Path]:
             TemporaryDirectory(prefix=prefix, suffix=".part", dir=None if stream else target.parent) as beside,
         ):
             aside = Path(beside) / path.name
-            yield aside
+            with _in_words_of(path, aside):
+                yield aside
             _hand_over(aside, path) if stream else _put_in_place(aside, target)
-    except OSError as error:
+    except (OSError, sqlite3.Error) as error:
         raise _unwritable(path, error) from error
+
+
+@contextmanager
+def _in_words_of(path: Path, aside: Path) -> Iterator[None]:
+    """What goes wrong with the file aside is said of the path that was asked for."""
+    try:
+        yield
+    except GtcalError as error:
+        if str(aside) not in str(error):
+            raise
+        raise GtcalError(str(error).replace(str(aside), str(path))) from error
 
 
 @contextmanager

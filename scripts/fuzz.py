@@ -138,7 +138,7 @@ def main(
     numbers = range(inputs) if only is None else range(only, only + 1)
     started = time.perf_counter()
     workers = 1 if only is not None else n_cores()
-    failed, tallies = run(numbers, seed, workers=workers, of=of, seconds=60.0 * minutes)
+    failed, tallies = run(numbers, seed, workers=workers, of=of, until=time.monotonic() + 60.0 * minutes)
     for (target, kind, what), count in Counter((f.target, f.kind, f.what) for f in failed).most_common():
         first = next(f.number for f in failed if (f.target, f.kind, f.what) == (target, kind, what))
         print(f"{count:6} x {target}: {kind}: {what} (the first: --only {first})")
@@ -185,10 +185,10 @@ def print_table(tallies: dict[str, Tally]) -> None:
 
 
 def run(
-    numbers: range, seed: int, *, workers: int, of: str = "", seconds: float = np.inf
+    numbers: range, seed: int, *, workers: int, of: str = "", until: float = np.inf
 ) -> tuple[list[Failed], dict[str, Tally]]:
-    """What failed, and what became of the inputs of each target. After so many seconds no more are begun."""
-    started = time.perf_counter()
+    """What failed, and what became of the inputs of each target. From ``until`` on, of the clock of the machine that
+    all processes share (``time.monotonic``), no more are begun."""
     size = min(_CHUNK, -(-len(numbers) // workers))
     waiting = [numbers[i : i + size] for i in range(0, len(numbers), size)]
     failed: list[Failed] = []
@@ -198,22 +198,21 @@ def run(
 
         def one(place: int, chunk: range) -> None:
             while len(chunk):
-                left = seconds - (time.perf_counter() - started)
-                chunk = _in_a_process(Path(folder) / f"{place}_{chunk[0]}", chunk, seed, of, left, failed, tallies)
+                chunk = _in_a_process(Path(folder) / f"{place}_{chunk[0]}", chunk, seed, of, until, failed, tallies)
 
         pool.starmap(one, enumerate(waiting), chunksize=1)
     return failed, tallies
 
 
 def _in_a_process(
-    folder: Path, chunk: range, seed: int, of: str, seconds: float, failed: list[Failed], tallies: dict[str, Tally]
+    folder: Path, chunk: range, seed: int, of: str, until: float, failed: list[Failed], tallies: dict[str, Tally]
 ) -> range:
     """Read these inputs in a process of its own. What of them is left, where that crashes."""
-    if seconds <= 0:
+    if time.monotonic() > until:
         return range(0)
     context = multiprocessing.get_context("spawn")  # none inherits the others' memory
     ours, theirs = context.Pipe(duplex=False)
-    process = context.Process(target=_run_chunk, args=(folder, chunk, seed, of, seconds, theirs))
+    process = context.Process(target=_run_chunk, args=(folder, chunk, seed, of, until, theirs))
     process.start()
     theirs.close()
     at, target = None, "?"
@@ -238,11 +237,10 @@ def _in_a_process(
 
 
 def _run_chunk(
-    folder: Path, numbers: range, seed: int, of: str, seconds: float, pipe: multiprocessing.connection.Connection
+    folder: Path, numbers: range, seed: int, of: str, until: float, pipe: multiprocessing.connection.Connection
 ) -> None:
     """Spoil and read these inputs. Through the pipe go the number and target before each, what failed, and the tallies:
     after each thousand, as the process may crash."""
-    started = time.perf_counter()
     logging.disable()
     warnings.simplefilter("ignore")
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
@@ -266,7 +264,7 @@ def _run_chunk(
         if number % 1000 == 999:
             pipe.send(tallies)
             tallies = {}
-        if time.perf_counter() - started > seconds:
+        if time.monotonic() > until:
             break
     pipe.send(tallies)
 

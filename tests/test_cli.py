@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import json
+import os
 import shutil
 import subprocess
 import sys
@@ -376,6 +378,12 @@ def test_a_bug_ends_in_a_traceback_and_1(
     assert run("calibrate", folder).code == 1
     assert "this is a bug in gtcal" in caplog.text
     assert "ZeroDivisionError: oh" in caplog.text
+
+
+def test_a_full_disk_is_no_bug(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    full = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+    monkeypatch.setattr("gtcal.recordings.recording.load_recording", breaking(full))
+    assert run("calibrate", folder).err == "gtcal: No space left on device\n"
 
 
 def test_an_interrupt_ends_quietly_with_130(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:

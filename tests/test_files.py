@@ -1,9 +1,10 @@
+import sqlite3
 from pathlib import Path
 
 import pytest
 
 from gtcal.errors import GtcalError
-from gtcal.files import fingerprint, write_aside, write_folder, write_text
+from gtcal.files import fingerprint, staged, write_aside, write_folder, write_text
 
 
 def test_a_failure_halfway_leaves_the_old_file_and_nothing_else(tmp_path: Path) -> None:
@@ -59,3 +60,16 @@ def test_a_folder_is_written_whole_or_not_at_all(tmp_path: Path) -> None:
     with pytest.raises(GtcalError, match="can't be written"):
         write_folder(tmp_path / "new" / "rig" / "a.txt", {"a.txt": "a"})
     assert {path.name for path in (tmp_path / "new").iterdir()} == {"rig"}
+
+
+@pytest.mark.parametrize("error", [OSError(28, "No space"), sqlite3.OperationalError("is full")])
+def test_what_a_library_can_not_write_is_one_line_of_the_path_asked_for(error: Exception, tmp_path: Path) -> None:
+    with pytest.raises(GtcalError, match=rf"^{tmp_path}/bag: can't be written: ") as raised, staged(tmp_path / "bag"):
+        raise error
+    assert ".part" not in str(raised.value)
+    assert not list(tmp_path.iterdir())
+
+
+def test_an_error_within_speaks_of_the_path_asked_for(tmp_path: Path) -> None:
+    with pytest.raises(GtcalError, match=rf"^{tmp_path}/bag/a: is odd$"), staged(tmp_path / "bag") as aside:
+        raise GtcalError(f"{aside}/a: is odd")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+import time
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
@@ -24,7 +25,7 @@ def test_no_spoilt_file_is_more_than_refused() -> None:
 
 
 def test_after_its_time_it_begins_no_more() -> None:
-    assert fuzz.run(range(10), 12, workers=1, seconds=-1.0) == ([], {})
+    assert fuzz.run(range(10), 12, workers=1, until=time.monotonic() - 1.0) == ([], {})
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import gc
 import inspect
 import logging
@@ -66,6 +67,9 @@ exit codes: 0 fine, 1 a failure told in one line, 2 usage, 3 failed or moved, 4 
 _GC_THRESHOLD = 100_000
 """Python looks for garbage after so many new objects. At its own 700 that takes a tenth of a short command's time: its
 imports make many objects and no garbage."""
+
+_OF_THE_MACHINE = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO, errno.EMFILE, errno.ENOMEM)
+"""What the system says that no program can help, nor say it of a file."""
 
 EXIT_FAILURE, EXIT_USAGE, EXIT_INTERRUPTED, EXIT_ENDED = 1, 2, 130, 143
 
@@ -194,9 +198,10 @@ def _run(command: str, arguments: list[str]) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return EXIT_FAILURE
     except OSError as error:  # of the machine, wherever it came up: a folder that is locked, say
-        if error.filename is None or not error.strerror:
+        if error.filename is None and error.errno not in _OF_THE_MACHINE:
             return _bug()
-        print(f"gtcal: {one_line(f'{error.filename}: {error.strerror}')}", file=sys.stderr)
+        where = "" if error.filename is None else f"{error.filename}: "
+        print(f"gtcal: {one_line(f'{where}{error.strerror or error}')}", file=sys.stderr)
         return EXIT_FAILURE
     except Exception:
         return _bug()

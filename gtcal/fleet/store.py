@@ -126,7 +126,7 @@ class Store:
         Raises GtcalError where another holds it."""
         path = self.path / "lock"
         try:
-            file = path.open("a+", encoding="utf-8")
+            file = path.open("ab", buffering=0)
         except OSError as error:
             raise GtcalError(f"{path}: can't be written: {error.strerror}") from error
         with file:
@@ -137,9 +137,9 @@ class Store:
                 raise GtcalError(
                     f"{self.path}: another gtcal ({who}) is writing to this store; wait for it, or give another store"
                 ) from None
-            file.truncate(0)
-            file.write(f"process {os.getpid()} on {socket.gethostname()}\n")
-            file.flush()
+            with suppress(OSError):  # who holds it is a courtesy, for which a full disk has no room
+                file.truncate(0)
+                file.write(f"process {os.getpid()} on {socket.gethostname()}\n".encode())
             yield
             with suppress(OSError):
                 file.truncate(0)

@@ -6,6 +6,8 @@ ref is the root. What changes stands on the timeline "time", the stamps of the r
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -49,7 +51,7 @@ def write_rerun(
     Raises GtcalError where rerun is not installed, the recording is of another rig, or the file can't be written."""
     rr = _rerun()
     evidence = None if recording is None else gather_evidence(calibration, recording, progress=progress)
-    with staged(path) as aside, rr.RecordingStream("gtcal") as stream:
+    with staged(path) as aside, _in_one_line(path), rr.RecordingStream("gtcal") as stream:
         stream.save(aside)
         for name, camera in calibration.cameras.items():
             _camera(rr, stream, _of_camera(name), camera.camera, camera.camera_T_ref.a_T_b)
@@ -65,6 +67,15 @@ def write_rerun(
             _sightings(rr, stream, name, sightings)
         stream.flush()
         stream.disconnect()
+
+
+@contextmanager
+def _in_one_line(path: Path) -> Iterator[None]:
+    """What rerun raises where its thread can't write."""
+    try:
+        yield
+    except RuntimeError as error:
+        raise GtcalError(f"{path}: can't be written: {error}") from error
 
 
 def _rerun() -> Any:
