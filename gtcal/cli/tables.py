@@ -23,8 +23,8 @@ from gtcal.simulation import GroundTruth
 from gtcal.uncertainty.coverage import coverage
 
 _COVARIANCES = {
-    NAIVE: "from pixel noise alone: too small where the mocap is noisy",
-    CLUSTERED: "cluster-robust (sandwich) covariance, a cluster per frame: includes the mocap's errors",
+    NAIVE: "from pixel noise alone, the mocap taken as exact: too small where the mocap is noisy",
+    CLUSTERED: "by how much whole frames are seen to scatter (cluster-robust), the mocap's errors included",
     ERRORS_IN_VARIABLES: "from pixel noise and the mocap's noise (errors in variables)",
 }
 
