@@ -13,8 +13,8 @@ ROOT = Path(__file__).resolve().parents[1]
 FLOORS = (
     "factors",
     "gtcal",  # the modules that stand in no room: cameras, files, errors
-    "gtcal.board gtcal.board_base gtcal.plain_boards gtcal.drawing gtcal.readers gtcal.camera_files gtcal.recordings "
-    "gtcal.observed gtcal.results",
+    "gtcal.board gtcal.board_base gtcal.plain_boards gtcal.tag_boards gtcal.drawing gtcal.readers gtcal.camera_files "
+    "gtcal.recordings gtcal.observed gtcal.results",
     "gtcal.estimation gtcal.uncertainty gtcal.clock gtcal.detection gtcal.verification gtcal.effects",
     "gtcal.workflow gtcal.steps gtcal.guided gtcal.differences gtcal.doctor gtcal.report gtcal.overview "
     "gtcal.baselines gtcal.selfchecks gtcal.simulation gtcal.convert",

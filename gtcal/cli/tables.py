@@ -26,8 +26,8 @@ if TYPE_CHECKING:
     from gtcal.simulation import GroundTruth
 
 _COVARIANCES = {
-    NAIVE: "from pixel noise alone: too small where the mocap is noisy",
-    CLUSTERED: "cluster-robust (sandwich) covariance, a cluster per frame: includes the mocap's errors",
+    NAIVE: "from pixel noise alone, the mocap taken as exact: too small where the mocap is noisy",
+    CLUSTERED: "by how much whole frames are seen to scatter (cluster-robust), the mocap's errors included",
     ERRORS_IN_VARIABLES: "from pixel noise and the mocap's noise (errors in variables)",
 }
 

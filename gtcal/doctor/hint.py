@@ -6,7 +6,7 @@ from gtcal.doctor.chain_search import ChainSearch
 from gtcal.estimation.alignment import guides_of
 from gtcal.estimation.observations import Observations
 from gtcal.estimation.screening import GROSS_VIEW
-from gtcal.estimation.solver import MANY_DROPPED, fit_warnings
+from gtcal.estimation.solver_warnings import MANY_DROPPED, fit_warnings
 from gtcal.results.calibration import Calibration
 
 ALONE_PX = 2.0

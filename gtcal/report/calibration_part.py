@@ -26,7 +26,8 @@ MOST_DETAILED_CAMERAS = 12
 COVARIANCE_MEANINGS = {
     NAIVE: "The covariance takes the mocap as exact and the corners as independent. Mocap noise moves all corners of "
     "a frame together, so these figures are a lower bound: the true error is often several times larger.",
-    CLUSTERED: "The covariance is cluster-robust (a sandwich, a cluster per frame): it includes the mocap's errors.",
+    CLUSTERED: "The covariance is by how much whole frames are seen to scatter (cluster-robust, a cluster per "
+    "frame): it includes the mocap's errors.",
     ERRORS_IN_VARIABLES: "The covariance holds pixel noise and the mocap's noise.",
 }
 

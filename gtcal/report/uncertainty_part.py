@@ -17,7 +17,7 @@ DISTANCE_M = 1.0
 
 KIND_NAMES = {
     NAIVE: "naive (corners independent, mocap exact)",
-    CLUSTERED: "frame-clustered (sandwich, of stage 3)",
+    CLUSTERED: "frame-clustered (by how whole frames scatter, of stage 3)",
     ERRORS_IN_VARIABLES: "errors in variables (of stage 4)",
 }
 

@@ -8,7 +8,7 @@ as they agree. All arrays over sightings have S rows, in order of time.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from enum import IntEnum, StrEnum
+from enum import StrEnum
 from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
@@ -19,6 +19,16 @@ from gtcal.errors import GtcalError
 from gtcal.recordings.detections import IntArray
 from gtcal.results.calibration import Calibration, Provenance
 from gtcal.results.presented import PresentedVerification
+from gtcal.verification.error_types import ERROR_CLASS_LIMITS_PX as ERROR_CLASS_LIMITS_PX
+from gtcal.verification.error_types import Bias as Bias
+from gtcal.verification.error_types import ErrorClass as ErrorClass
+from gtcal.verification.error_types import ErrorCurve as ErrorCurve
+from gtcal.verification.error_types import ErrorStatistics as ErrorStatistics
+from gtcal.verification.error_types import HeatMap as HeatMap
+from gtcal.verification.error_types import error_classes as error_classes
+from gtcal.verification.fault import MAIN_CAUSE as MAIN_CAUSE
+from gtcal.verification.fault import Fault as Fault
+from gtcal.verification.fault import FaultKind as FaultKind
 
 if TYPE_CHECKING:
     from gtcal.verification.lollypop import Lollypop
@@ -36,27 +46,6 @@ class Verdict(StrEnum):
     def exit_code(self) -> int:
         """Of the command line."""
         return {Verdict.PASS: 0, Verdict.FAIL: 3, Verdict.INCONCLUSIVE: 4}[self]
-
-
-class ErrorClass(IntEnum):
-    """The paper's colours of an error in px, and NONE where nothing was measured."""
-
-    NONE = -1
-    GREEN = 0
-    YELLOW = 1
-    RED = 2
-    MAGENTA = 3
-
-
-ERROR_CLASS_LIMITS_PX = (0.5, 1.5, 3.0)
-"""GREEN is below the first, YELLOW below the second, RED below the third, MAGENTA from there on."""
-
-
-def error_classes(errors_px: FloatArray) -> npt.NDArray[np.int8]:
-    """The ``ErrorClass`` of errors of any shape; NaN is NONE."""
-    classes = np.digitize(errors_px, ERROR_CLASS_LIMITS_PX).astype(np.int8)
-    classes[np.isnan(errors_px)] = ErrorClass.NONE
-    return classes
 
 
 ClockSource = Literal["calibration", "estimate", "trust"]
@@ -226,75 +215,6 @@ class LeftOut:
 
 
 @dataclass(frozen=True)
-class ErrorStatistics:
-    """Statistics of error norms; ``unit`` is 'px' or 'mm'.
-
-    rmse_low, rmse_high: two one-sided bounds on the RMSE of a recording without end, each at the stated confidence;
-        NaN where there is too little data for any."""
-
-    unit: Literal["px", "mm"]
-    count: int
-    rmse: float
-    mean: float
-    median: float
-    p95: float
-    worst: float
-    rmse_low: float
-    rmse_high: float
-
-
-@dataclass(frozen=True)
-class Bias:
-    """Mean error in px, with the half width of its two-sided confidence interval, which accounts for the correlation
-    of the errors in time; NaN where there is too little data.
-
-    xy_px, xy_half_width_px: (2,) along the image's axes, image centre less mocap centre.
-    radial_px, tangential_px: outwards from the principal point, and around it (from x towards y)."""
-
-    xy_px: FloatArray
-    xy_half_width_px: FloatArray
-    radial_px: float
-    radial_half_width_px: float
-    tangential_px: float
-    tangential_half_width_px: float
-
-
-@dataclass(frozen=True)
-class ErrorCurve:
-    """Error against a quantity, in B bins.
-
-    quantity: 'distance_m', 'viewing_angle_deg' or 'field_angle_deg'.
-    edges: (B + 1,) in the quantity's unit. count: (B,).
-    rmse_px, median_px, rmse_mm: (B,), NaN in an empty bin."""
-
-    quantity: Literal["distance_m", "viewing_angle_deg", "field_angle_deg"]
-    edges: FloatArray
-    count: IntArray
-    rmse_px: FloatArray
-    median_px: FloatArray
-    rmse_mm: FloatArray
-
-
-@dataclass(frozen=True)
-class HeatMap:
-    """e_2D over the image, in bins by the place of the image centre. Row 0 is the image's top.
-
-    x_edges_px: (W + 1,), y_edges_px: (H + 1,) of the bins, from -0.5.
-    count: (H, W). rmse_px: (H, W), NaN in an empty bin. mean_error_px: (H, W, 2) the mean error vector."""
-
-    x_edges_px: FloatArray
-    y_edges_px: FloatArray
-    count: IntArray
-    rmse_px: FloatArray
-    mean_error_px: FloatArray
-
-    @property
-    def classes(self) -> npt.NDArray[np.int8]:
-        """(H, W) the paper's colours, as ``ErrorClass``."""
-        return error_classes(self.rmse_px)
-
-
-@dataclass(frozen=True)
 class ExpectedError:
     """A camera's systematic error against what the calibration's covariance lets expect.
 
@@ -392,64 +312,6 @@ class PoseCheck:
     depth_rmse_mm: float
     across_rmse_mm: float
     rotation_rmse_deg: float
-
-
-FaultKind = Literal["markers_moved", "camera_moved", "lens_changed", "device_centre", "clock_offset"]
-"""markers_moved: a rigid correction that all cameras share: the markers of the headset (or, with fixed cameras, the
-mocap's world) moved against the cameras. camera_moved: one camera's own. lens_changed: one camera's focal length, as
-when it warms up. device_centre: the Lollypop's centre is not where its body's origin is. clock_offset: the stamps of
-all cameras are off by the same time."""
-
-
-MAIN_CAUSE = 0.5
-"""A finding that explains this share of the squared error, or more, is its main cause."""
-
-
-@dataclass(frozen=True)
-class Fault:
-    """A correction that explains the errors significantly better than chance.
-
-    camera: for camera_moved and lens_changed.
-    correction: (4, 4). markers_moved: camera_T_ref * correction is every camera's better extrinsic. camera_moved:
-        correction * camera_T_ref is this camera's. device_centre: a shift in the device's body. Else none.
-    focal_share: for lens_changed, by what share of itself the focal length is larger; else 0.
-    offset_s: for clock_offset, what is to be added to the cameras' stamps; else 0.
-    shift_mm, turn_deg: its size: of the ref body's origin, of the camera's centre, or of the device's centre.
-    shift_sigma_mm, turn_sigma_deg: 1-sigma of the same (of the most uncertain direction).
-    p_value: of the test that there is no such correction, before accounting for the number of tests.
-    rmse_before_px, rmse_after_px: e_2D RMSE of the sightings it concerns, without and with the correction.
-    also_possible: other explanations that the data do not tell apart from this one.
-    sentence: for people, as "camera 'cam2' moved by 1.02 mm and 0.013 deg"."""
-
-    kind: FaultKind
-    camera: str | None
-    correction: FloatArray
-    focal_share: float
-    offset_s: float
-    shift_mm: float
-    turn_deg: float
-    shift_sigma_mm: float
-    turn_sigma_deg: float
-    p_value: float
-    rmse_before_px: float
-    rmse_after_px: float
-    also_possible: tuple[str, ...]
-    sentence: str
-
-    @property
-    def explained_share(self) -> float:
-        """Of the squared error, 0 to 1."""
-        return 1.0 - (self.rmse_after_px / self.rmse_before_px) ** 2 if self.rmse_before_px > 0.0 else 0.0
-
-    @property
-    def caveat(self) -> str:
-        """What to mind where the finding is real but explains less than half of the squared error; else empty."""
-        if self.explained_share >= MAIN_CAUSE:
-            return ""
-        return (
-            f"it explains only {self.explained_share:.0%} of the squared error: the rest is noise, or another cause "
-            "behind it, such as a wrong lens"
-        )
 
 
 @dataclass(frozen=True, repr=False)
