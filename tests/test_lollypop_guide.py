@@ -46,6 +46,7 @@ def test_images_are_chosen_ten_a_second() -> None:
     assert spread(stamps_ns[:1]).tolist() == [0]
 
 
+@pytest.mark.long
 def test_corners_near_the_prediction_are_those_of_the_whole_image(filmed: Filmed) -> None:
     recording, n = filmed.recording, 0
     for name, calibrated in filmed.calibration.cameras.items():
@@ -76,6 +77,7 @@ def _verified(filmed: Filmed, calibration: Calibration, monkeypatch: pytest.Monk
     return verify(filmed.recording, calibration, EXPECTED), len(whole)
 
 
+@pytest.mark.long
 def test_the_verification_is_that_of_all_images(filmed: Filmed, monkeypatch: pytest.MonkeyPatch) -> None:
     found, n_whole = _verified(filmed, filmed.calibration, monkeypatch)
     searched = verify(filmed.recording, filmed.calibration, replace(EXPECTED, images="all"))
@@ -86,6 +88,7 @@ def test_the_verification_is_that_of_all_images(filmed: Filmed, monkeypatch: pyt
     assert set(found.recording.images) == set(filmed.recording.images)  # type: ignore[union-attr]
 
 
+@pytest.mark.long
 def test_a_calibration_that_is_far_off_is_found_to_be_so(filmed: Filmed, monkeypatch: pytest.MonkeyPatch) -> None:
     name, turned = next(iter(filmed.calibration.cameras)), small_motion((0.0, 0.0, 0.0), (0.0, 15.0, 0.0))
     camera = filmed.calibration.cameras[name]

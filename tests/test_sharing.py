@@ -47,7 +47,7 @@ def result_of(store: Store, name: str) -> dict[str, Any]:
 
 
 def test_ranges_of_images_on_several_workers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    simulation = simulate_lollypop(LollypopOptions(rig=HALF, n_frames=12, duration_s=12.0), seed=2)
+    simulation = simulate_lollypop(LollypopOptions(rig=HALF, n_frames=6, duration_s=12.0), seed=2)
     write_lollypop_simulation(simulation, tmp_path / "recording", images=True)
     write_calibration(tmp_path / "calibration.json", simulation.true_calibration())
     manifest = tmp_path / "recording" / "recording.yaml"
@@ -62,7 +62,7 @@ def test_ranges_of_images_on_several_workers(tmp_path: Path, monkeypatch: pytest
         looked.append((get_worker().name, len(tasks)))
         return each(images, tasks, looking)
 
-    monkeypatch.setattr(many_images, "WORTH_PROCESSES", 12)
+    monkeypatch.setattr(many_images, "WORTH_PROCESSES", 6)
     monkeypatch.setattr(sharing, "PER_RANGE", 5)
     monkeypatch.setattr(sharing, "look_at_each", counted)
     store = Store.made(tmp_path / "store")
@@ -72,7 +72,7 @@ def test_ranges_of_images_on_several_workers(tmp_path: Path, monkeypatch: pytest
     ):
         found = run_batch(store, [job], DaskWorkers(client), COMMAND)
     assert not found.failed
-    assert sorted(n for _, n in looked) == 4 * [2] + 8 * [5]
+    assert sorted(n for _, n in looked) == 4 * [1] + 4 * [5]
     assert len({name for name, _ in looked}) == 2
     assert result_of(store, "verification.json") == untimed(undivided.files["verification.json"])
 

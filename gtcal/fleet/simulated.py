@@ -72,7 +72,7 @@ def demo_fleet(seed: int = 0) -> FleetOptions:
     bumped = RigFault(cameras={"front_right": small_motion((0.5, 0.4, 0.0), (0.0, 0.08, 0.0))})
     warmed = RigFault(focal_shares={"front_left": 0.0015})
     harms = {1: Harm(drifted, 14.0, 58.0), 3: Harm(bumped, 38.2, 38.2), 4: Harm(warmed, 21.0, 49.0)}
-    return FleetOptions(harms=harms, seed=seed, calibrated_every=28, verification_frames=160)
+    return FleetOptions(harms=harms, seed=seed, calibrated_every=28)
 
 
 @dataclass(frozen=True)
