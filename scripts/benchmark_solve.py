@@ -32,6 +32,7 @@ from factors import CornerReprojectionFactor, RobustKernel
 from factors.cores import JOBS_VARIABLE, n_cores
 from factors.moments import chain
 from gtcal import CalibrationOptions, board_from_manifest, synchronise
+from gtcal.blas import on_one_blas_thread
 from gtcal.camera import FloatArray
 from gtcal.estimation.adjustment import Adjusted, adjust, joint_covariance
 from gtcal.estimation.alignment import GuideViews, stage_1, stage_2
@@ -88,6 +89,7 @@ def guided(views: Mapping[str, Views]) -> dict[str, GuideViews]:
     return {name: GuideViews.of(v, solve_pnp(v, max_views=OPTIONS.pnp_views)) for name, v in views.items()}
 
 
+@on_one_blas_thread
 def solve(observations: Observations) -> tuple[Estimate, Estimate, Seconds]:
     """Where stage 2 and stage 3 end, and what each part takes."""
     seconds: Seconds = {}

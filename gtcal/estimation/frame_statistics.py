@@ -24,7 +24,7 @@ from factors.reprojection import view_moments
 from gtcal.camera import FloatArray
 from gtcal.estimation.estimate import Estimate
 from gtcal.estimation.observations import Views
-from gtcal.estimation.residuals import corner_views, select_views
+from gtcal.estimation.residuals import corner_views, select_views, views_from_to
 from gtcal.recordings.detections import IntArray
 
 SMALLEST_CORRELATION = 1e-3
@@ -177,7 +177,11 @@ def _of_frames(views: Mapping[str, Views], frames: IntArray) -> dict[str, Views]
 
 
 def _those_of(views: Views, frames: IntArray) -> Views:
-    return select_views(views, np.flatnonzero(np.isin(views.frame_index, frames)))
+    first = int(np.searchsorted(views.frame_index, frames[0]))
+    end = int(np.searchsorted(views.frame_index, frames[-1], side="right"))
+    between = views_from_to(views, first, end)
+    wanted = np.isin(between.frame_index, frames)
+    return between if wanted.all() else select_views(between, np.flatnonzero(wanted))
 
 
 def _within_views(by_view: FloatArray) -> FloatArray:

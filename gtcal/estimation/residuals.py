@@ -79,6 +79,22 @@ def select_views(views: Views, index: IntArray) -> Views:
     )
 
 
+def views_from_to(views: Views, first: int, end: int) -> Views:
+    """The views ``first`` to ``end - 1``; nothing is copied."""
+    start = views.view_start[first : end + 1]
+    rows = slice(int(start[0]), int(start[-1]))
+    return replace(
+        views,
+        stamps_ns=views.stamps_ns[first:end],
+        frame_index=views.frame_index[first:end],
+        ref_T_body=views.ref_T_body[first:end],
+        view_start=start - start[0],
+        corner_ids=views.corner_ids[rows],
+        corners_m=views.corners_m[rows],
+        corners_px=views.corners_px[rows],
+    )
+
+
 def select_corners(views: Views, keep: BoolArray) -> Views:
     """The corners where ``keep`` (N,) is True, and the views that have one left."""
     counts = np.add.reduceat(keep.astype(np.int64), views.view_start[:-1])
