@@ -65,7 +65,7 @@ def load_plain_yaml(path: Path, text: str) -> Any:
     """A text in YAML as PyYAML takes it, OpenCV's first line, which is no YAML to others, left out. Raises GtcalError
     naming the file where it is not valid."""
     try:
-        document = yaml.load(re.sub(r"\A%YAML:[^\n]*\n(---)?", "", text), _SafeLoader)
+        document = yaml.load(re.sub(r"\A%YAML:[^\n]*\n(---)?", "", text), PlainLoader)
     except (yaml.YAMLError, ValueError, RecursionError) as error:
         raise GtcalError(f"{path}: is not valid YAML: {' '.join(str(error).split())}") from None
     check_extent(path, document)
@@ -148,10 +148,11 @@ def _load_yaml(path: Path, text: str) -> Any:
 
 
 # libyaml's, where PyYAML has it: it bounds the depth, where Python's takes seconds over brackets within brackets
-_SafeLoader: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+PlainLoader: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+"""YAML as PyYAML takes it."""
 
 
-class _Loader(_SafeLoader):
+class _Loader(PlainLoader):
     """YAML as people mean it: a field that stands twice is an error, keys are text, 1e-3 is a number."""
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:

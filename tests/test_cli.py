@@ -19,7 +19,7 @@ from calibration_support import HEADSET, errors, near, simulated
 from cli_support import all_in, files_in, run
 
 from factors import ROBUST_KERNELS
-from gtcal.cli import COMMANDS
+from gtcal.cli import COMMANDS, _EndedError
 from gtcal.cli.calibrate import KernelName
 from gtcal.recordings.detection_files import read_detections
 from gtcal.recordings.recording import load_recording
@@ -384,6 +384,19 @@ def test_a_full_disk_is_no_bug(folder: Path, monkeypatch: pytest.MonkeyPatch) ->
     full = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
     monkeypatch.setattr("gtcal.recordings.recording.load_recording", breaking(full))
     assert run("calibrate", folder).err == "gtcal: No space left on device\n"
+
+
+@pytest.mark.parametrize(("by", "code"), [(_EndedError(), 143), (KeyboardInterrupt(), 130)])
+def test_an_end_within_an_import_is_one_too(
+    by: BaseException, code: int, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Python 3.11 hands on what comes up while a class is made as a RuntimeError."""
+    wrapped = RuntimeError("Error calling __set_name__")
+    wrapped.__cause__ = by
+    monkeypatch.setattr("gtcal.recordings.recording.load_recording", breaking(wrapped))
+    ran = run("calibrate", folder)
+    assert ran.code == code
+    assert ran.err.count("\n") == 1
 
 
 def test_an_interrupt_ends_quietly_with_130(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -8,6 +8,7 @@ import numpy as np
 
 from factors.rigid import inverse
 from gtcal.baselines.markers import MarkerSightings
+from gtcal.bounds import LARGEST_STAMP_NS, within
 from gtcal.documents import read_text
 from gtcal.errors import GtcalError
 from gtcal.files import InputFile, fingerprint
@@ -56,9 +57,8 @@ def _rows(path: Path) -> list[list[str]]:
         try:
             if len(cells) != len(COLUMNS):
                 raise ValueError(f"{len(cells)} cells")
-            int(cells[1])
-            if not np.isfinite([float(cell) for cell in cells[2:]]).all():
-                raise ValueError("a number that is not finite")
+            if abs(int(cells[1])) > LARGEST_STAMP_NS or not all(within(float(cell)) for cell in cells[2:]):
+                raise ValueError("a number that has no meaning here")
         except ValueError as error:
             raise GtcalError(f"{path}:{number}: {error}; expected {', '.join(COLUMNS)}") from None
         rows.append(cells)

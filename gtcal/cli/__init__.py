@@ -188,12 +188,8 @@ def _run(command: str, arguments: list[str]) -> int:
     except GtcalError as error:
         print(f"gtcal: {one_line(str(error))}", file=sys.stderr)
         return EXIT_FAILURE
-    except _EndedError:
-        print("gtcal: ended by a signal (SIGTERM)", file=sys.stderr)
-        return EXIT_ENDED
-    except KeyboardInterrupt:
-        print("gtcal: interrupted", file=sys.stderr)
-        return EXIT_INTERRUPTED
+    except (_EndedError, KeyboardInterrupt) as error:
+        return _ended(error)
     except BrokenPipeError:  # the reader of our output, 'head' say, has had enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return EXIT_FAILURE
@@ -203,9 +199,18 @@ def _run(command: str, arguments: list[str]) -> int:
         where = "" if error.filename is None else f"{error.filename}: "
         print(f"gtcal: {one_line(f'{where}{error.strerror or error}')}", file=sys.stderr)
         return EXIT_FAILURE
-    except Exception:
-        return _bug()
+    except Exception as error:
+        # Python wraps what comes up while a class is made, in an import say
+        return _ended(error.__cause__) if isinstance(error.__cause__, _EndedError | KeyboardInterrupt) else _bug()
     return code if isinstance(code, int) else 0
+
+
+def _ended(by: _EndedError | KeyboardInterrupt) -> int:
+    if isinstance(by, KeyboardInterrupt):
+        print("gtcal: interrupted", file=sys.stderr)
+        return EXIT_INTERRUPTED
+    print("gtcal: ended by a signal (SIGTERM)", file=sys.stderr)
+    return EXIT_ENDED
 
 
 def _bug() -> int:

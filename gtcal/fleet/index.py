@@ -102,7 +102,7 @@ def opened_index(path: Path, *, new: bool = False) -> Iterator[sqlite3.Connectio
             connection.close()
     except sqlite3.OperationalError as error:
         raise GtcalError(f"{path}: the index can't be used: {error}") from error
-    except sqlite3.DatabaseError as error:
+    except (sqlite3.DatabaseError, UnicodeDecodeError) as error:  # also where SQLite tells of what it found in there
         raise GtcalError(f"{path}: the index is damaged ({error}); 'gtcal history --rebuild' makes it anew") from error
 
 
@@ -163,8 +163,11 @@ def _cells(record: Record) -> Iterator[Any]:
 
 def _record(row: tuple[Any, ...], inputs: tuple[Input, ...]) -> Record:
     given = dict(zip(_RECORD_COLUMNS, row, strict=True))
-    given |= {name: json.loads(given[name]) for name in _AS_JSON}
-    given |= {"accept": bool(given["accept"]), "command_line": tuple(given["command_line"]), "inputs": inputs}
+    try:
+        given |= {name: json.loads(given[name]) for name in _AS_JSON}
+        given |= {"accept": bool(given["accept"]), "command_line": tuple(given["command_line"]), "inputs": inputs}
+    except (TypeError, ValueError) as error:
+        raise sqlite3.DatabaseError(f"a row is no record: {error}") from error
     return Record(**given)
 
 

@@ -24,7 +24,7 @@ import yaml
 from pydantic import Field, create_model
 
 from factors import RobustKernel
-from gtcal.documents import load_document, read_text
+from gtcal.documents import PlainLoader, load_document, read_text
 from gtcal.errors import GtcalError
 from gtcal.estimation.options import CalibrationOptions, MocapSigmas
 from gtcal.estimation.priors_file import read_priors
@@ -114,10 +114,11 @@ def _entries(path: Path) -> tuple[Stated, KindOptions]:
 
 
 def _lines_of_jobs(path: Path) -> list[int]:
-    root = yaml.compose(read_text(path))
+    """Of each job, none where they are merged in from elsewhere (<<)."""
+    root = yaml.compose(read_text(path), PlainLoader)
     assert isinstance(root, yaml.MappingNode)  # load_document has seen to that
-    (jobs,) = (value for key, value in root.value if key.value == "jobs")
-    return [node.start_mark.line + 1 for node in jobs.value]
+    stated = [value for key, value in root.value if key.value == "jobs"]
+    return [node.start_mark.line + 1 for jobs in stated for node in jobs.value]
 
 
 _FIELDS = frozenset(JobEntry.model_fields) - {"options"}

@@ -38,12 +38,12 @@ class Line:
     text: str
 
     def fields(self, separator: str) -> tuple[str, ...]:
-        """The cells, without quotes and surrounding blanks."""
+        """The cells, at least one, without quotes and surrounding blanks."""
         try:
             cells = next(csv.reader([self.text.replace("\r", " ")], delimiter=separator), [])
         except csv.Error:  # a quote that never ends runs into the reader's limit
             cells = self.text.split(separator)
-        return tuple(cell.strip() for cell in cells)
+        return tuple(cell.strip() for cell in cells) or ("",)
 
     @property
     def blank(self) -> bool:
