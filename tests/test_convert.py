@@ -126,7 +126,7 @@ def test_nearest_lenses_are_asked_for_in_reading_and_in_writing(tmp_path: Path) 
             ["--to", "numpy", "--image-size-px", "1", "2"],
             "752 x 480 px, but image_size_px says 1 x 2",
         ),
-        ("x.yaml", "cam0: [", ["--to", "numpy"], "x.yaml:1: is not valid YAML"),
+        ("x.yaml", "cam0: [", ["--to", "numpy"], "x.yaml:2: is not valid YAML"),
         (
             "x.yaml",
             "a: 1",

@@ -18,7 +18,7 @@ from gtcal.cli.json_schemas import MODELS, NAMES, PRINTED_BY, schema_of
 from gtcal.simulation import write_simulation
 from gtcal.simulation.lollypop import LollypopOptions, simulate_lollypop, write_lollypop_simulation
 
-WITHOUT_A_TABLE = {"board", "completion", "convert", "export", "report", "schema", "simulate", "site"}
+WITHOUT_A_TABLE = {"board", "completion", "convert", "export", "guide", "report", "schema", "simulate", "site"}
 
 LONG = pytest.mark.long
 CASES = (
