@@ -19,7 +19,6 @@ from typing import Any
 import numpy as np
 import pytest
 from detection_support import FISHEYE, Filmer
-from scipy.spatial.transform import Rotation
 
 from gtcal import guided as guided_module
 from gtcal.board import PRESETS, AprilGrid
@@ -28,8 +27,8 @@ from gtcal.cli import main
 from gtcal.cores import n_cores
 from gtcal.detection import detect as detect_module
 from gtcal.detection import many_images, view_detection
-from gtcal.detection.corner_search import PredictedBoard
-from gtcal.detection.detect import detect
+from gtcal.detection.corner_search import PredictedBoard, SeenBoard
+from gtcal.detection.detect import Guidance, cached_detect, detect
 from gtcal.detection.view_detection import see_board
 from gtcal.errors import GtcalError
 from gtcal.recordings.detections import CameraDetections
@@ -41,6 +40,8 @@ from gtcal.workflow import detected
 
 BOARD = AprilGrid(4, 3, 0.06, 0.3)
 PAPER_A2 = PRESETS["paper_a2"]
+BEHIND = np.diag([1.0, -1.0, -1.0, 1.0])
+BEHIND[2, 3] = -0.5
 
 
 class Shot:
@@ -108,9 +109,41 @@ def test_the_board_a_pitch_away_is_not_taken_for_it(shots: list[Shot]) -> None:
 
 def test_a_board_outside_the_image_is_not_searched(shots: list[Shot], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(view_detection, "find_tags", not_called)
-    behind = np.eye(4)
-    behind[:3, :3], behind[2, 3] = Rotation.from_euler("x", 180, degrees=True).as_matrix(), -0.5
-    assert len(see_board(shots[0].image, BOARD, FISHEYE, PredictedBoard(FISHEYE, behind)).corner_ids) == 0
+    seen = see_board(shots[0].image, BOARD, FISHEYE, PredictedBoard(FISHEYE, BEHIND))
+    assert (len(seen.corner_ids), seen.unsearched) == (0, True)
+
+
+def test_a_mocap_that_puts_the_board_outside_hides_no_view(
+    recording_dir: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Every tenth image is searched all the same; where one shows the board, all are."""
+    recording = load_recording(recording_dir)
+    (name, camera), images = next(iter(recording.cameras.items())), next(iter(recording.images.values()))
+    shown = np.flatnonzero(np.isin(images.stamps_ns, detect(images, recording.board, camera).stamps_ns))[:12]
+    few = ImageSequence(images.stamps_ns[shown], tuple(images.paths[index] for index in shown))
+    wrong = Guidance(predicted={index: PredictedBoard(camera, BEHIND) for index in range(12)})
+    truth = detect(few, recording.board, camera)
+    assert truth.n_views == 12
+    with caplog.at_level(logging.WARNING, logger="gtcal"):
+        found = cached_detect(recording_dir, name, few, recording.board, camera, redo=True, guide=Word(wrong))
+    np.testing.assert_array_equal(found.corners_px, truth.corners_px)
+    assert f"{name}: by the mocap and a first calibration the board is outside 12 images, but" in caplog.text
+    nothing = SeenBoard(np.empty(0, dtype=np.int64), np.empty((0, 2)), 0)
+    monkeypatch.setattr(view_detection, "_searched", lambda *_: nothing)
+    n_searches = count_calls(monkeypatch, view_detection, "_searched")
+    found = cached_detect(recording_dir, name, few, recording.board, camera, redo=True, guide=Word(wrong))
+    assert (found.n_views, len(n_searches)) == (0, 2)
+
+
+@dataclass(frozen=True)
+class Word:
+    """A guide that says the same of every camera."""
+
+    guidance: Guidance
+    rests_on: str = "a word"
+
+    def __call__(self, camera_name: str) -> Guidance:
+        return self.guidance
 
 
 def not_called(*_: object) -> None:

@@ -50,11 +50,12 @@ _WARPED_PX, _WARPED_PART, _WARPED_PART_UNKNOWN_LENS = 0.5, 0.018, 0.045
 @dataclass(frozen=True)
 class SeenBoard:
     """What one image shows. corner_ids: (n,) increasing. corners_px: (n, 2). Both are empty where the board isn't
-    recognised, although ``n_tags`` of its tags may have been read."""
+    recognised, although ``n_tags`` of its tags may have been read. unsearched: for it should be outside the image."""
 
     corner_ids: IntArray
     corners_px: FloatArray
     n_tags: int
+    unsearched: bool = False
 
 
 @dataclass(frozen=True)

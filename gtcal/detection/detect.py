@@ -6,9 +6,9 @@ import hashlib
 import json
 import logging
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
-from functools import lru_cache
+from functools import lru_cache, partial
 from importlib import import_module
 from itertools import chain
 from pathlib import Path
@@ -31,6 +31,10 @@ from gtcal.recordings.images import Images, left_out
 from gtcal.verification.lollypop import Lollypop
 
 CACHE_FOLDER = ".gtcal"
+
+SAMPLED = 10
+"""One in so many images that should not show the board is searched."""
+
 # What decides what is found: a cache made by another version of one of these isn't taken.
 DETECTOR = (
     "factors.camera_models",
@@ -121,10 +125,8 @@ def _detect(
         images = images.expecting(camera.image_width_px, camera.image_height_px)
     name = camera.name if camera is not None else "the images"
     seen: list[Seen | None] = [None] * len(images)
-    left = [index for index in range(len(images)) if index not in guidance.seen]
-    found = look_at(
-        images, left, Looking(board, camera), predicted=guidance.predicted, jobs=workers, of_all=of_all or len(images)
-    )
+    look = partial(look_at, images, looking=Looking(board, camera), jobs=workers, of_all=of_all or len(images))
+    found = _looked_at(name, len(images), look, guidance)
     for done, (index, view) in enumerate(chain(guidance.seen.items(), found), start=1):
         seen[index] = view
         progress(f"detecting the board in {name}", done, len(images))
@@ -139,6 +141,33 @@ def _detect(
             "%s", _why_none(name, board, camera, [view.n_tags for view in seen if isinstance(view, SeenBoard)])
         )
     return CameraDetections.from_views(views), warning
+
+
+def _looked_at(
+    name: str, n_images: int, look: Callable[..., Iterator[tuple[int, Seen]]], guidance: Guidance
+) -> Iterator[tuple[int, Seen]]:
+    """What the images show that were not looked at before. The mocap's word that the board is outside an image is not
+    taken unseen: every SAMPLED-th of those images is searched all the same, and where one shows the board, all are."""
+    unsearched: dict[int, Seen] = {}
+    left = [index for index in range(n_images) if index not in guidance.seen]
+    for index, view in look(left, predicted=guidance.predicted):
+        if isinstance(view, SeenBoard) and view.unsearched:
+            unsearched[index] = view
+        else:
+            yield index, view
+    if not unsearched:
+        return
+    sample = dict(look(sorted(unsearched)[::SAMPLED]))
+    rest = sorted(unsearched.keys() - sample.keys())
+    n_shown = sum(isinstance(view, SeenBoard) and len(view.corner_ids) > 0 for view in sample.values())
+    yield from sample.items()
+    if n_shown:
+        _log.warning(
+            "%s: by the mocap and a first calibration the board is outside %d images, but %d of %d that were searched "
+            "all the same show it, so all are searched; does the mocap swap bodies or markers?",
+            *(name, len(unsearched), n_shown, len(sample)),
+        )
+    yield from look(rest) if n_shown else ((index, unsearched[index]) for index in rest)
 
 
 def cached_detect(

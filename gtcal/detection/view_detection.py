@@ -6,7 +6,7 @@ counts where it belongs to a tag whose code is read. Boards without tags are fou
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -50,14 +50,16 @@ def see_board(
 
     predicted: where the board must be, to a few pixels; a board without tags has no use for it. Its corners are then
     looked for there first, and the board is searched for only where most that should be seen aren't there; where it
-    should be outside the image, not at all. What is found is checked in the same way, and doesn't depend on the
-    prediction."""
+    should be outside the image, not at all (``unsearched``). What is found is checked in the same way, and doesn't
+    depend on the prediction."""
     if not isinstance(board, TaggedBoard):
         return see_plain_board(image, board, camera)
     if predicted is None:
         return _searched(image, board, camera)
     looked = _looked_for(image, board, predicted)
-    if looked.n_expected == 0 or 2 * len(looked.seen.corner_ids) > looked.n_expected:
+    if looked.n_expected == 0:
+        return replace(looked.seen, unsearched=True)
+    if 2 * len(looked.seen.corner_ids) > looked.n_expected:
         return looked.seen
     return max(looked.seen, _searched(image, board, camera), key=lambda seen: len(seen.corner_ids))
 
