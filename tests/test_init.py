@@ -188,11 +188,13 @@ def test_what_a_file_leaves_open_is_asked(tmp_path: Path) -> None:
 
 def test_clocks_that_have_nothing_in_common_are_said(tmp_path: Path) -> None:
     camera(tmp_path / "cam0")
+    camera(tmp_path / "cam1")
     early = wandering_trajectory("headset")
     write_euroc_csv(tmp_path / "headset.csv", replace(early, stamps_ns=early.stamps_ns - EPOCH_NS))
     text = draft(survey(tmp_path), tmp_path / "recording.yaml").text
     expected = rf"WARNING: cam0 \({STAMPS_NS[0]} to .* has no time in common with headset"
-    assert re.search(expected, text.replace("\n# ", " "))
+    assert re.search(expected + r" \(.*\), nor have cam1: another clock", text.replace("\n# ", " "))
+    assert text.count("WARNING") == 1
 
 
 def test_the_bodies_of_one_export_are_told_apart_by_name(tmp_path: Path) -> None:

@@ -407,9 +407,7 @@ def _write_camera(lines: _Lines, camera: FoundCamera, numbered: bool, *, to_veri
     if to_verify:
         lines.say("The intrinsics are the calibration's.")
     elif "parameters" not in camera.fields and "parameters" not in camera.asked:
-        lines.say(
-            "No intrinsics were found: 'gtcal calibrate --calibrate-intrinsics' finds them, or state 'parameters'."
-        )
+        lines.say("No intrinsics were found: 'gtcal calibrate' finds them from the recording, or state 'parameters'.")
     for name, value in camera.fields.items():
         if name != "model":
             lines.put(name, lines.path(value) if name in _PATH_FIELDS else value)
@@ -477,16 +475,22 @@ def _write_left(lines: _Lines, found: Survey) -> None:
 
 
 def _times_apart(found: Survey) -> Iterable[str]:
+    """A line for the cameras that have no time in common with the same bodies."""
+    apart: dict[str, list[str]] = {}
     for camera in found.cameras:
         if camera.images is None or camera.numbered or "stamp_offset_ns" in camera.asked:
             continue
         first, last = int(camera.images.stamps_ns[0]), int(camera.images.stamps_ns[-1])
         spans = {body.called: body.span_ns for body in found.bodies if body.span_ns is not None}
-        apart = [
+        bodies = [
             f"{name} ({span[0]} to {span[1]} ns)" for name, span in spans.items() if last < span[0] or first > span[1]
         ]
-        if apart:
-            yield (
-                f"WARNING: {camera.name} ({first} to {last} ns) has no time in common with {', '.join(apart)}: another "
-                "clock? See 'stamp_offset_ns'."
-            )
+        if bodies:
+            cameras = apart.setdefault(", ".join(bodies), [])
+            cameras.append(camera.name if cameras else f"{camera.name} ({first} to {last} ns)")
+    for bodies_named, (one, *others) in apart.items():
+        nor = f", nor have {', '.join(others)}" if others else ""
+        yield (
+            f"WARNING: {one} has no time in common with {bodies_named}{nor}: another clock? 'stamp_offset_ns' under "
+            "each of these bodies is what is to be added to its stamps."
+        )
