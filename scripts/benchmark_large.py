@@ -6,7 +6,7 @@ the libraries, read, calibrate with all that it does by default, write. Beside t
 which other work on the machine makes no longer; and the same for a recording a tenth as long, which a linear growth
 takes a tenth of the time for.
 
-    python scripts/benchmark_large.py                    # 33,000 frames: some five minutes on two cores
+    python scripts/benchmark_large.py                    # 33,000 frames
     python scripts/benchmark_large.py --frames 3300      # a tenth of it
 """
 

@@ -28,7 +28,7 @@ def detect(
         recording: Folder with the manifest (recording.yaml or recording.json), or the manifest itself.
         output: Folder for one file per camera with the columns timestamp_ns, corner_id, x_px, y_px; the manifest takes
             each as the camera's 'detections'.
-        format: Of these files. 'parquet' is a quarter of the size and read ten times as fast as 'csv', for millions of
+        format: Of these files. 'parquet' is smaller and read faster than 'csv', for millions of
             corners; it needs pyarrow (pip install 'gtcal[parquet]').
         redo: Detect again, also where the manifest gives detections next to images.
         guided: Where a camera has many images, search the board in some only; the mocap and a calibration from those

@@ -21,8 +21,8 @@ from gtcal.recordings.parquet_table import ParquetTable, open_parquet, write_par
 from gtcal.recordings.text_table import Kind, TextTable, open_table
 
 DetectionFormat = Literal["csv", "parquet"]
-"""How corners are kept, and the end of such a file's name. Parquet is a quarter of the size, and read ten times as
-fast: for recordings of millions of corners. It needs pyarrow."""
+"""How corners are kept, and the end of such a file's name. Parquet is smaller and read faster:
+for recordings of millions of corners. It needs pyarrow."""
 
 _HEADER, _NUMBERED_HEADER = "timestamp_ns,corner_id,x_px,y_px", "number,corner_id,x_px,y_px"
 _ROWS_PER_WRITE = 100_000

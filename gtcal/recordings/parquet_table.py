@@ -1,4 +1,4 @@
-"""Columns of numbers in a Parquet file: small, typed, and read ten times as fast as text."""
+"""Columns of numbers in a Parquet file: small, typed, and read faster than text."""
 
 from __future__ import annotations
 
