@@ -101,9 +101,10 @@ def opened_index(path: Path, *, new: bool = False) -> Iterator[sqlite3.Connectio
         finally:
             connection.close()
     except sqlite3.OperationalError as error:
-        raise GtcalError(f"{path}: the index can't be used: {error}") from error
+        raise GtcalError(f"{path}: the index can't be used: {' '.join(str(error).split())}") from error
     except (sqlite3.DatabaseError, UnicodeDecodeError) as error:  # also where SQLite tells of what it found in there
-        raise GtcalError(f"{path}: the index is damaged ({error}); 'gtcal history --rebuild' makes it anew") from error
+        said = " ".join(str(error).split())
+        raise GtcalError(f"{path}: the index is damaged ({said}); 'gtcal history --rebuild' makes it anew") from error
 
 
 def _migrate(connection: sqlite3.Connection, path: Path) -> None:

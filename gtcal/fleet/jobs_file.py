@@ -24,7 +24,7 @@ import yaml
 from pydantic import Field, create_model
 
 from factors import RobustKernel
-from gtcal.documents import PlainLoader, load_document, read_text
+from gtcal.documents import PlainLoader, load_document, load_plain_yaml, read_text
 from gtcal.errors import GtcalError
 from gtcal.estimation.options import CalibrationOptions, MocapSigmas
 from gtcal.estimation.priors_file import read_priors
@@ -147,11 +147,11 @@ def _row(where: str, names: list[str], row: list[str]) -> dict[str, Any]:
         if not cell:
             continue
         if name.startswith("options."):
-            fields["options"][name.removeprefix("options.")] = yaml.safe_load(cell)
+            fields["options"][name.removeprefix("options.")] = load_plain_yaml(Path(where), cell)
         elif name == "recordings":
             fields[name] = [part.strip() for part in cell.split(";")]
         else:
-            fields[name] = yaml.safe_load(cell) if name in ("accept", "report") else cell
+            fields[name] = load_plain_yaml(Path(where), cell) if name in ("accept", "report") else cell
     return fields
 
 

@@ -107,7 +107,9 @@ def _reason(error: Exception) -> str:
 
 
 def _chosen_stream(path: Path, container: InputContainer, given: str | None) -> VideoStream:
-    streams = {str(stream.index): stream for stream in container.streams.video if stream.average_rate or stream.frames}
+    # one of a codec that is not known has no width
+    known = (stream for stream in container.streams.video if stream.codec_context is not None)
+    streams = {str(stream.index): stream for stream in known if stream.average_rate or stream.frames}
     listed = ", ".join(f"{index} ({stream.width} x {stream.height})" for index, stream in streams.items())
     if not streams:
         raise GtcalError(f"{path}: holds no video stream")
