@@ -9,11 +9,11 @@ manifest) must say which.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 
 from factors.camera_models import CAMERA_MODELS, KANNALA_BRANDT4, MEI_OMNI, PINHOLE_RADTAN
@@ -35,6 +35,7 @@ from gtcal.camera_files.rig import (
 from gtcal.documents import read_text
 from gtcal.errors import GtcalError
 from gtcal.files import write_text
+from gtcal.own_process import EndedError, OwnProcess, RefusedError
 
 TITLE = "OpenCV's FileStorage"
 _MATRIX = ("camera_matrix", "cameraMatrix", "Camera_Matrix", "K")
@@ -170,22 +171,19 @@ def _is_fisheye(entry: Field, options: ReadOptions, n_coefficients: int) -> bool
 
 
 def _load(path: Path) -> Any:
-    read_text(path)  # where it can't be read, OpenCV's own words go past us to the terminal
+    read_text(path)  # which refuses what is no text, or too long
+    process = _processes.pop(os.getpid(), None) or OwnProcess(_READER)
     try:
-        storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)  # its nodes live as long as it does
-        root = storage.root()
-        return _plain(root) if root.isMap() else None
-    except (cv2.error, SystemError) as error:
-        said = getattr(error.__cause__ or error, "err", "") or "damaged"
-        raise GtcalError(f"{path}: OpenCV can't read it: {' '.join(str(said).split())}") from None
+        document = process.ask("document", str(path))
+    except RefusedError as error:
+        raise GtcalError(f"{path}: OpenCV can't read it: {error}") from None
+    except EndedError:
+        raise GtcalError(f"{path}: is damaged: OpenCV does not survive reading it; write it again") from None
+    _processes[os.getpid()] = process
+    return document
 
 
-def _plain(node: cv2.FileNode) -> Any:
-    if node.isMap():
-        keys = node.keys()
-        return node.mat() if {"rows", "cols", "dt"} <= set(keys) else {key: _plain(node.getNode(key)) for key in keys}
-    if node.isSeq():
-        return [_plain(node.at(i)) for i in range(node.size())]
-    if node.isString():
-        return node.string()
-    return (int(node.real()) if node.isInt() else node.real()) if node.isInt() or node.isReal() else None
+_processes: dict[int, OwnProcess] = {}
+"""One that stands ready, of this process: those that were forked from it have their own."""
+
+_READER = Path(__file__).with_name("opencv_reader.py")

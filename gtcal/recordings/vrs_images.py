@@ -17,15 +17,16 @@ import numpy as np
 from gtcal.bounds import added
 from gtcal.errors import GtcalError
 from gtcal.files import check_regular
+from gtcal.own_process import EndedError, OwnProcess, RefusedError
 from gtcal.recordings.detections import IntArray
 from gtcal.recordings.images import GreyImage, InOneFile, of_size, relative
-from gtcal.recordings.vrs_process import VrsEndedError, VrsProcess, VrsRefusedError
 
 VRS_SUFFIXES = (".vrs",)
 CAPTURE_FIELD = "capture_timestamp_ns"
 """The metadata of an image, as Project Aria writes it, with the time of its exposure in whole nanoseconds."""
 
 
+_READER = Path(__file__).with_name("vrs_reader.py")
 _TO_GREY = {"rgb8": cv2.COLOR_RGB2GRAY, "bgr8": cv2.COLOR_BGR2GRAY}
 
 
@@ -85,10 +86,11 @@ def image_streams(path: Path) -> dict[str, int]:
 
 def _streams(path: Path, readers: _Readers) -> dict[str, int]:
     try:
-        return readers.own().image_streams()
-    except VrsRefusedError as error:
+        found: dict[str, int] = readers.own().ask("image_streams")
+        return found
+    except RefusedError as error:
         raise GtcalError(f"{path}: is not a VRS file that can be read, or is cut off: {error}") from None
-    except VrsEndedError:
+    except EndedError:
         raise _unsurvived(path) from None
 
 
@@ -114,10 +116,10 @@ def _check_whole(path: Path) -> None:
 def _capture_stamps(path: Path, readers: _Readers, stream: str) -> tuple[IntArray, tuple[str, ...]]:
     """(V,) of the data records in their order, and what is to be said about them."""
     try:
-        captured, times_s = readers.own().stamps(stream, CAPTURE_FIELD)
-    except VrsRefusedError as error:
+        captured, times_s = readers.own().ask("stamps", stream, CAPTURE_FIELD)
+    except RefusedError as error:
         raise GtcalError(f"{path}: is damaged or cut off: {error}") from None
-    except VrsEndedError:
+    except EndedError:
         raise _unsurvived(path) from None
     if all(stamp is not None for stamp in captured):
         return np.array(captured, dtype=np.int64), ()
@@ -136,19 +138,19 @@ class _Readers:
         self.path = path
         self._of_thread = threading.local()
 
-    def own(self) -> VrsProcess:
+    def own(self) -> OwnProcess:
         """This thread's."""
         if not hasattr(self._of_thread, "process"):
-            self._of_thread.process = VrsProcess(self.path)
-        process: VrsProcess = self._of_thread.process
+            self._of_thread.process = OwnProcess(_READER, str(self.path))
+        process: OwnProcess = self._of_thread.process
         return process
 
     def image(self, stream: str, record: int, name: str) -> GreyImage:
         try:
-            pixels, pixel_format = self.own().image(stream, record)
-        except VrsRefusedError as error:
+            pixels, pixel_format = self.own().ask("image", stream, record)
+        except RefusedError as error:
             raise GtcalError(f"{name}: can't be read: {error}") from None
-        except VrsEndedError:
+        except EndedError:
             del self._of_thread.process  # others may be whole
             raise GtcalError(f"{name}: is damaged: VRS's reader does not survive reading it") from None
         if pixels is not None and pixel_format in _TO_GREY and pixels.ndim == 3:
