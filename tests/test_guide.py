@@ -18,6 +18,7 @@ from gtcal.cli.markdown import shown_markdown
 from gtcal.guide import CHAPTERS, about, markdown
 from gtcal.pose_recordings.recording import PoseManifest
 from gtcal.recordings.manifest import Manifest
+from gtcal.several_boards.recording import BoardsManifest
 from gtcal.verification.lollypop_recording import LollypopManifest
 
 TEXTS = {page.stem: page.read_text(encoding="utf-8") for page in PAGES}
@@ -124,7 +125,8 @@ def test_every_manifest_is_one(tmp_path: Path) -> None:
             continue
         cameras = fields["cameras"]
         assert isinstance(cameras, dict)
-        kind = LollypopManifest if "device" in fields else Manifest if "board" in fields else PoseManifest
+        kinds = {"device": LollypopManifest, "board": Manifest, "boards": BoardsManifest}
+        kind = next((kind for field, kind in kinds.items() if field in fields), PoseManifest)
         kind.model_validate(fields)
         seen.add(kind)
-    assert seen == {Manifest, LollypopManifest, PoseManifest}
+    assert seen == {Manifest, LollypopManifest, BoardsManifest, PoseManifest}
