@@ -103,6 +103,15 @@ def test_markers_that_moved_are_a_finding() -> None:
 
 
 @pytest.mark.long
+def test_without_intrinsics_too_what_moved_is_a_finding() -> None:
+    recording = slipped(simulated(frames=80).recording, "board_body", 5.0)
+    bare = {name: replace(camera, parameters=None) for name, camera in recording.cameras.items()}
+    found = diagnose_recording(replace(recording, cameras=bare))
+    assert [finding.fault for finding in found.findings] == ["board_body markers moved"]
+    assert not any("no calibration" in note for note in found.notes)
+
+
+@pytest.mark.long
 def test_a_third_of_wrong_poses_is_explained_where_no_reading_does() -> None:
     recording = simulated().recording
 

@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 import pytest
 import yaml
+from cli_support import run
 from scipy.spatial.transform import Rotation
 
 from factors import PINHOLE_RADTAN
@@ -29,7 +30,9 @@ from gtcal.plain_boards import Chessboard, DotGrid
 from gtcal.recordings.detections import CameraDetections
 from gtcal.recordings.images import GreyImage, numbered_folder
 from gtcal.recordings.recording import Recording
+from gtcal.results.calibration_file import read_calibration
 from gtcal.simulation import SimulationOptions, simulate
+from gtcal.simulation.ground_truth import read_ground_truth
 
 BOARDS: dict[Board, int] = {
     Chessboard(9, 6, 0.04): 1,
@@ -198,3 +201,31 @@ def test_the_chain_tells_which_way_up_every_view_was(board: Board) -> None:
     again = told_apart(synchronise(_turned_at_random(simulation.recording, 2)), CalibrationOptions())
     for name, views in found.views.items():  # whatever the detector made of it
         assert np.mean(again.views[name].corner_ids == views.corner_ids) > 0.95
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("preset", "lengths"), [("chessboard", ["square_side_m"]), ("dots", ["dot_pitch_m"])])
+def test_from_images_to_a_calibration_by_what_init_drafts(preset: str, lengths: list[str], tmp_path: Path) -> None:
+    """What the images and files don't say is answered by the truth; then calibrated, examined and shown."""
+    folder = tmp_path / "recording"
+    made = ["--board", preset, "--rig", "fixed", "--images", "--frames", "120", "--image-scale", "0.5", "--seed", "3"]
+    assert run("simulate", "-o", folder, *made, "-q").code == 0
+    true = yaml.safe_load((folder / "recording.yaml").read_text())
+    (folder / "recording.yaml").unlink()
+    assert run("init", folder).code == 0
+    drafted = yaml.safe_load((folder / "recording.yaml").read_text())
+    counts = {name: value for name, value in true["board"].items() if name.endswith(("columns", "rows"))}
+    assert {drafted["board"][name] for name in counts} == set(counts.values())
+    drafted["board"] |= {name: true["board"][name] for name in (*lengths, *counts)}
+    for name, camera in drafted["cameras"].items():
+        camera["model"] = true["cameras"][name]["model"]
+    (folder / "recording.yaml").write_text(yaml.safe_dump(drafted))
+    report = tmp_path / "report.html"
+    ran = run("calibrate", folder, "-o", tmp_path / "calibration.json", "--report", report, "-q")
+    assert (ran.code, ran.err) == (0, "")
+    calibration, truth = read_calibration(tmp_path / "calibration.json"), read_ground_truth(folder)
+    for name, camera in calibration.cameras.items():
+        apart = inverse(camera.camera_T_ref.a_T_b) - inverse(truth.camera_T_ref[name])
+        assert np.linalg.norm(apart[:3, 3]) < 5e-4
+    assert report.stat().st_size > 100_000
+    assert run("doctor", folder, "-q").code == 0

@@ -48,7 +48,8 @@ def look_at_calibration(recording: Recording, progress: Progress) -> Calibrated:
     calibration = calibrate(recording, progress=progress)
     assert calibration.solution is not None
     used_ns = {name: views.stamps_ns for name, views in calibration.solution.views.items()}
-    observations = synchronise(recording)
+    lenses = {name: camera.camera for name, camera in calibration.cameras.items()}
+    observations = synchronise(replace(recording, cameras=lenses))
     turned = turned_views(observations, calibration.estimate, calibration.solution.views)
     stated, unconvincing = _not_as_stated(recording, calibration)
     findings = [
@@ -107,8 +108,8 @@ def _not_as_stated(recording: Recording, calibration: Calibration) -> tuple[list
     """Lenses and a board that moved further from what is stated than its sigmas allow: findings where unseen views fit
     clearly better than with these held, else notes."""
     findings, notes = [], []
-    moves = {name: camera.lens_moves for name, camera in calibration.cameras.items() if camera.lens_moves}
-    stated = {name: camera for name, camera in recording.cameras.items() if name in moves}
+    stated = {name: camera for name, camera in recording.cameras.items() if camera.parameters is not None}
+    moves = {name: calibration.cameras[name].lens_moves for name in stated}
     shape = calibration.board_shape
     told = [
         (INTRINSICS, lens_warnings(stated, moves), CalibrationOptions(intrinsics="exact", effects=False)),
