@@ -17,7 +17,7 @@ from gtcal.plain_boards import Chessboard
 from gtcal.recordings.detections import IntArray
 from gtcal.recordings.images import GreyImage, Images, read_if_whole
 
-_FEW_IMAGES, _ENOUGH = 8, 3
+_FEW_IMAGES, _ENOUGH = 24, 3
 _WIDEST_PX = 900  # squares and dots are counted in smaller images as well, and much faster
 _FEWEST_SQUARES, _FEWEST_DOTS, _MOST_DOTS = 5, 9, 400
 _ALIKE = 1.6  # dots side by side differ in size by less, times
