@@ -58,7 +58,7 @@ def _rows(path: Path) -> list[list[str]]:
             if len(cells) != len(COLUMNS):
                 raise ValueError(f"{len(cells)} cells")
             if abs(int(cells[1])) > LARGEST_STAMP_NS or not all(within(float(cell)) for cell in cells[2:]):
-                raise ValueError("a number that has no meaning here")
+                raise ValueError("a number that is not finite, or far too large")
         except ValueError as error:
             raise GtcalError(f"{path}:{number}: {error}; expected {', '.join(COLUMNS)}") from None
         rows.append(cells)
