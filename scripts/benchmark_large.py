@@ -28,33 +28,18 @@ from typing import get_args
 from rich.console import Console
 from rich.table import Table
 
-from gtcal import CalibrationOptions, board_from_manifest, calibrate, load_recording, write_calibration
+from gtcal import CalibrationOptions, calibrate, load_recording, write_calibration
 from gtcal.cores import n_cores
 from gtcal.recordings.detection_files import DetectionFormat
 from gtcal.recordings.recording import write_recording
-from gtcal.simulation import SimulationOptions, quest3_like_rig, simulate
-
-BOARD = {
-    "type": "aprilgrid",
-    "family": "36h11",
-    "tag_columns": 6,
-    "tag_rows": 6,
-    "tag_side_m": 0.055,
-    "tag_spacing": 0.3,
-}
-FRAME_RATE_HZ = 30.0
+from gtcal.simulation import simulate
 
 
 def write_recordings(n_frames: int, folder: Path) -> None:
     """The same recording in a folder of each format's name."""
-    options = SimulationOptions(
-        rig=quest3_like_rig(),
-        board=board_from_manifest(BOARD),
-        n_frames=n_frames,
-        duration_s=max(60.0, n_frames / FRAME_RATE_HZ),
-        camera_rate_hz=FRAME_RATE_HZ,
-    )
-    recording = simulate(options, seed=0).recording
+    from benchmark_solve import options_of  # what is measured does without its libraries
+
+    recording = simulate(options_of(n_frames), seed=0).recording
     for detection_format in get_args(DetectionFormat):
         write_recording(recording, folder / detection_format, detection_format=detection_format)
 

@@ -73,16 +73,20 @@ def timed(work: Callable[[], T]) -> tuple[T, float]:
     return result, time.perf_counter() - started
 
 
-def recording_of(n_frames: int) -> Observations:
+def options_of(n_frames: int) -> SimulationOptions:
     """A headset and a board, both tracked; every frame of a minute or of as long as it takes."""
-    options = SimulationOptions(
+    return SimulationOptions(
         rig=quest3_like_rig(),
         board=board_from_manifest(BOARD),
         n_frames=n_frames,
         duration_s=max(60.0, n_frames / FRAME_RATE_HZ),
         camera_rate_hz=FRAME_RATE_HZ,
     )
-    return synchronise(simulate(options, seed=0).recording)
+
+
+def recording_of(n_frames: int) -> Observations:
+    """What is simulated of so many frames."""
+    return synchronise(simulate(options_of(n_frames), seed=0).recording)
 
 
 def guided(views: Mapping[str, Views]) -> dict[str, GuideViews]:
