@@ -1,8 +1,9 @@
 """Whether the doctor leaves right recordings alone: 500 simulated ones of every capture, none of which has a fault.
 
-Each has a mocap with noise and gaps, in every third correlated in time, and now and then swapped bodies; levers of 0.1
-to 20 m between the world's origin and the bodies, axes turned at will; 12 to 80 frames; and in every fourth a motion
-about one axis, or without turns, that tells little. A finding is a wrong word about a right recording.
+Each has a mocap with noise and gaps, in every third correlated in time; levers of 0.1 to 20 m between the world's
+origin and the bodies, axes turned at will; 12 to 80 frames; and in every fourth a motion about one axis, or without
+turns, that tells little. A finding is a wrong word about a right recording; but for "gross views" in every fifth, in
+which bodies are swapped in one frame of twenty.
 
     python scripts/study_doctor.py                # an hour and a half on two cores
     python scripts/study_doctor.py --runs 40
