@@ -15,6 +15,7 @@ from gtcal.effects.turned import TurnedViews, turned_views
 from gtcal.estimation.lens_moves import lens_warnings
 from gtcal.estimation.observations import synchronise
 from gtcal.estimation.options import CalibrationOptions
+from gtcal.estimation.solver_warnings import MANY_DROPPED
 from gtcal.progress import Progress
 from gtcal.recordings.detections import IntArray
 from gtcal.recordings.recording import Recording
@@ -26,9 +27,6 @@ INTRINSICS, BOARD_SHAPE = NOT_AS_STATED = "intrinsics", "board shape"
 
 CERTAIN = 1e-5
 """Effects that are likelier than this to be chance are notes: of a thousand clean recordings not one has a finding."""
-
-MANY_LEFT_OUT = 0.1
-"""A larger share of views that contradict the rest is a finding."""
 
 
 @dataclass(frozen=True)
@@ -64,7 +62,7 @@ def _left_out(calibration: Calibration, n_views: dict[str, int], turned: TurnedV
     assert calibration.solution is not None
     used = {name: views.n_views for name, views in calibration.solution.views.items()}
     all_views, left = sum(n_views.values()), sum(n_views.values()) - sum(used.values())
-    if turned is None and left <= MANY_LEFT_OUT * all_views:
+    if turned is None and left <= MANY_DROPPED * all_views:
         return
     by_camera = ", ".join(f"{name} {n - used[name]} of {n}" for name, n in n_views.items() if n > used[name])
     says = f"{left} of {all_views} views contradict the others, which agree among themselves ({by_camera})"
