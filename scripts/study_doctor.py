@@ -2,8 +2,8 @@
 
 Each has a mocap with noise and gaps, in every third correlated in time; levers of 0.1 to 20 m between the world's
 origin and the bodies, axes turned at will; 12 to 80 frames; and in every fourth a motion about one axis, or without
-turns, that tells little. In every fifth bodies are swapped in a twentieth of the frames: "gross views" may be right; any
-other finding is a wrong word about a right recording.
+turns, that tells little. In every fifth bodies are swapped in a twentieth of the frames: "gross views" may be right
+there. Any other finding is a wrong word about a right recording.
 
     python scripts/study_doctor.py                # an hour and a half on two cores
     python scripts/study_doctor.py --runs 40
