@@ -6,10 +6,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
-from rich.text import Text
 
 if TYPE_CHECKING:
     from rich.table import Table
+    from rich.text import Text
 
     from gtcal.baselines.compare import Compared, Comparison
     from gtcal.estimation.options import CalibrationOptions, IntrinsicsMode
@@ -133,6 +133,8 @@ def _compare_poses(recording: Path, options: CalibrationOptions, json: bool, qui
 
 def comparison_parts(found: Comparison) -> list[Table | Text]:
     """The methods side by side; of those that failed, why."""
+    from rich.text import Text
+
     failed = (Text(f"{row.method}: {row.failure}") for row in found if row.failure)
     return [_table(found), *failed]
 

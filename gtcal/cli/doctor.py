@@ -6,9 +6,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import tyro
-from rich.text import Text
 
 if TYPE_CHECKING:
+    from rich.text import Text
+
     from gtcal.doctor.findings import Diagnosis, Finding
     from gtcal.progress import Progress
 
@@ -81,12 +82,16 @@ def _lollypop(recording: Path, calibration: Path, progress: Progress) -> Diagnos
 
 def diagnosis_parts(found: Diagnosis) -> list[Text]:
     """Line by line: each finding with its evidence and what to do, the notes, the outcome."""
+    from rich.text import Text
+
     parts = [part for number, finding in enumerate(found.findings, start=1) for part in _finding(number, finding)]
     parts += [Text(f"note: {note}", style="cyan") for note in found.notes]
     return [*parts, Text(found.statement, style="green" if found.healthy else "bold red")]
 
 
 def _finding(number: int, finding: Finding) -> list[Text]:
+    from rich.text import Text
+
     alternatives = (f"   alternative that the data do not rule out: {text}" for text in finding.alternatives)
     return [
         Text(f"{number}. {finding.fault}: {finding.says}", style="bold"),
