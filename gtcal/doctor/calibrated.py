@@ -109,6 +109,7 @@ def _not_as_stated(recording: Recording, calibration: Calibration) -> tuple[list
     stated = {name: camera for name, camera in recording.cameras.items() if camera.parameters is not None}
     moves = {name: calibration.cameras[name].lens_moves for name in stated}
     shape = calibration.board_shape
+    held = replace(recording, cameras={name: camera.camera for name, camera in calibration.cameras.items()} | stated)
     told = [
         (INTRINSICS, lens_warnings(stated, moves), CalibrationOptions(intrinsics="exact", effects=False)),
         (BOARD_SHAPE, shape.warnings if shape else (), CalibrationOptions(board="exact", effects=False)),
@@ -116,7 +117,7 @@ def _not_as_stated(recording: Recording, calibration: Calibration) -> tuple[list
     for fault, warnings, options in told:
         for line in warnings:
             says, _, advice = line.partition(": " if fault == INTRINSICS else "; ")
-            before = _held_out_px(calibrate(recording, options))
+            before = _held_out_px(calibrate(held, options))
             after = _held_out_px(calibration)
             if after <= CONVINCING_NUMBER * before:
                 findings.append(Finding(fault, says, (), (advice,), HELD_OUT, before, after, "px"))
