@@ -78,6 +78,19 @@ def _corner_residual(
     return valid
 
 
+_ROWS = 4
+"""Two corners' rows are multiplied out at a time: each sum is then loaded and stored half as often."""
+
+
+@inlined
+def _add_products(rows: FloatArray, total: FloatArray) -> None:
+    """rows^T rows onto the upper triangle of total."""
+    for a in range(rows.shape[1]):
+        p, q, r, s = rows[0, a], rows[1, a], rows[2, a], rows[3, a]
+        for b in range(a, rows.shape[1]):
+            total[a, b] += p * rows[0, b] + q * rows[1, b] + r * rows[2, b] + s * rows[3, b]
+
+
 def _sum_views(
     theta: FloatArray,
     camera_T_board: FloatArray,
@@ -104,13 +117,15 @@ def _sum_views(
     end = field_end(theta, with_theta)
     J_point, J_theta = np.empty((2, 3)), np.empty((2, len(theta)))
     columns = 7 + (len(theta) if with_theta else 0) + (N_SHAPE if with_shape else 0)
-    rows, total = np.empty((2, columns)), np.empty((columns, columns))
+    rows, total = np.empty((_ROWS, columns)), np.empty((columns, columns))
     last = columns - 1
     for v in range(first_view, end_view):
         T = camera_T_board[v]
         total[:] = 0.0
         loss_of_view, invalid = 0.0, 0
+        filled = 0
         for n in range(view_start[v], view_start[v + 1]):
+            own = rows[filled : filled + 2]
             invalid += not corner_residual(
                 theta,
                 end,
@@ -122,13 +137,13 @@ def _sum_views(
                 shape,
                 corners_px[n, 0],
                 corners_px[n, 1],
-                rows,
+                own,
                 J_point,
                 J_theta,
                 with_theta,
                 with_shape,
             )
-            distance = math.sqrt(rows[0, last] ** 2 + rows[1, last] ** 2) / sigma_px
+            distance = math.sqrt(own[0, last] ** 2 + own[1, last] ** 2) / sigma_px
             if kernel_id == CALLED_BACK:
                 rho, weight = called_back[n, 0], called_back[n, 1]
             elif kernel_id == MEASURED:
@@ -137,11 +152,14 @@ def _sum_views(
                 rho, weight = robust_loss_and_weight(kernel_id, kernel_parameter, distance)
             loss_of_view += rho
             if with_moments:
-                scale = weight / (sigma_px * sigma_px)
-                for a in range(columns):
-                    u, w = scale * rows[0, a], scale * rows[1, a]
-                    for b in range(a, columns):
-                        total[a, b] += u * rows[0, b] + w * rows[1, b]
+                own *= math.sqrt(weight) / sigma_px
+                filled += 2
+                if filled == _ROWS:
+                    _add_products(rows, total)
+                    filled = 0
+        if filled:
+            rows[filled:] = 0.0
+            _add_products(rows, total)
         loss[v], n_invalid[v] = loss_of_view, invalid
         if with_moments:
             for a in range(columns):

@@ -91,9 +91,7 @@ def outcome(task: tuple[Case, int]) -> dict[str, Judged] | None:
     recording = case.spoil(simulation, case.size) if case.spoil else simulation.recording
     try:
         return {
-            mode: judged(
-                calibrate(recording, CalibrationOptions(intrinsics=mode, clock="trust", effects=False)), simulation
-            )
+            mode: judged(calibrate(recording, CalibrationOptions(intrinsics=mode, clock="trust")), simulation)
             for mode in MODES
         }
     except GtcalError:

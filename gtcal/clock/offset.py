@@ -9,7 +9,7 @@ stage 4 models it, or as the frames scatter.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Protocol
 
@@ -19,7 +19,7 @@ from gtcal.camera import FloatArray
 from gtcal.clock.local_motion import parabolas
 from gtcal.clock.rolling_shutter import readout_columns_px_per_s
 from gtcal.errors import GtcalError
-from gtcal.estimation.clustered import Priors, clustered_covariance
+from gtcal.estimation.clustered import ClusterSums, Priors
 from gtcal.estimation.errors_in_variables import prior_information
 from gtcal.estimation.frame_statistics import FrameMoments, eliminate_noise, frames_of, in_parts
 from gtcal.estimation.mocap_noise import MocapNoiseModel, lower_factors
@@ -66,10 +66,10 @@ def remaining_offset(
         _widened(prior_information(views, solution.estimate, options, w), len(readouts) + 1 + drift)
         for w in (weight, weight**2)
     )
-    parts = [
+    parts = (
         _with_clock(part, motion, middle_ns(views), drift=drift)
         for part in _parts(calibration, motion, options, readouts)
-    ]
+    )
     noise = calibration.mocap_noise
     if noise is not None and noise.stage == 4:
         solved, covariance = _with_noise(parts, information, noise_model(noise), motion)
@@ -161,13 +161,16 @@ def _with_clock(frames: FrameMoments, motion: RefMotion, about_ns: int, *, drift
     basis = [twist]
     if drift:
         basis.append(twist * (1e-9 * (frames.stamps_ns - about_ns))[:, None])
-    n, size = len(frames.stamps_ns), frames.moments.shape[1]
-    columns = np.zeros((n, size, size + len(basis)))
-    columns[:, : size - 1, : size - 1] = np.eye(size - 1)
-    columns[:, size - 1, -1] = 1.0
-    for k, along in enumerate(basis):
-        columns[:, :6, size - 1 + k] = along
-    moments = np.swapaxes(columns, 1, 2) @ frames.moments @ columns
+    M, k = frames.moments, len(basis)
+    size = M.shape[1]
+    columns = np.array([*range(size - 1), size - 1 + k])
+    moments = np.zeros((len(M), size + k, size + k))
+    moments[:, columns[:, None], columns] = M
+    for i, along in enumerate(basis, start=size - 1):
+        moved = np.einsum("fai,fi->fa", M[:, :, :6], along)
+        moments[:, columns, i] = moments[:, i, columns] = moved
+        for j, other in enumerate(basis, start=size - 1):
+            moments[:, i, j] = np.einsum("fi,fi->f", moved[:, :6], other)
     return replace(frames, moments=moments)
 
 
@@ -181,7 +184,7 @@ def _widened(information: FloatArray, n: int) -> FloatArray:
 
 
 def _with_noise(
-    parts: list[FrameMoments], information: FloatArray, noise: MocapNoiseModel, motion: RefMotion
+    parts: Iterable[FrameMoments], information: FloatArray, noise: MocapNoiseModel, motion: RefMotion
 ) -> tuple[FloatArray, FloatArray]:
     total = np.triu(information)
     for part in parts:
@@ -192,12 +195,14 @@ def _with_noise(
 
 
 def _as_they_scatter(
-    parts: list[FrameMoments], information: FloatArray, scatter: FloatArray, correlation_s: float
+    parts: Iterable[FrameMoments], information: FloatArray, scatter: FloatArray, correlation_s: float
 ) -> tuple[FloatArray, FloatArray]:
-    priors = Priors(information[:-1, :-1], scatter[:-1, :-1])
-    whole = information + np.sum([part.exact.sum(axis=0) for part in parts], axis=0)
+    sums = ClusterSums.of(parts, correlation_s)
+    whole = information.copy()
+    whole[:-1, :-1] += sums.information
+    whole[:-1, -1] += sums.gradients.sum(axis=0)
     try:
-        return _solved(whole), clustered_covariance(parts, priors, correlation_s)
+        return _solved(whole), sums.covariance(Priors(information[:-1, :-1], scatter[:-1, :-1]))
     except np.linalg.LinAlgError:
         return _solved(whole), np.full(whole[:-1, :-1].shape, np.nan)
 

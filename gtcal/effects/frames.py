@@ -12,7 +12,7 @@ from gtcal.camera import BoolArray, FloatArray
 from gtcal.effects.isolated import without_isolated
 from gtcal.estimation.errors_in_variables import prior_information
 from gtcal.estimation.estimate import Estimate
-from gtcal.estimation.frame_statistics import FrameMoments, evenly, frame_moments, frames_of
+from gtcal.estimation.frame_statistics import FrameMoments, evenly, frame_moments, frames_of, n_corners_of
 from gtcal.estimation.mocap_noise import MocapNoiseModel, Whiteness, estimate_noise, innovations, spread_blocks
 from gtcal.estimation.observations import Observations, Views
 from gtcal.estimation.options import CalibrationOptions
@@ -132,7 +132,7 @@ class Frames:
             moments=raw.moments,
             marginal=_marginal(raw, noise, observations.motion, lag_1),
             sigma_px=raw.sigma_px,
-            n_corners=_n_corners(views, frames),
+            n_corners=n_corners_of(views, frames),
             free=_free(raw, len(views), options),
             information=prior_information(views, estimate, options),
             seen={name: np.isin(frames, of_camera.frame_index) for name, of_camera in views.items()},
@@ -154,12 +154,6 @@ def _chosen(views: Mapping[str, Views]) -> IntArray:
     width = 13 + sum(6 + of_camera.camera.model.n_parameters for of_camera in views.values())
     most = int(np.clip(MOST_NUMBERS / width**2, _FEWEST_FRAMES, _MOST_FRAMES))
     return evenly(frames_of(views), most)
-
-
-def _n_corners(views: Mapping[str, Views], frames: IntArray) -> int:
-    return sum(
-        int(np.diff(of_camera.view_start)[np.isin(of_camera.frame_index, frames)].sum()) for of_camera in views.values()
-    )
 
 
 def clusters(n: int) -> IntArray:

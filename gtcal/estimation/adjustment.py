@@ -17,7 +17,9 @@ from gtcal.estimation.graph import (
     BODY_T_BOARD,
     IntrinsicsPrior,
     camera_T_ref_key,
+    finished,
     minimise,
+    optimum_nearby,
     reprojection_graph,
     theta_key,
     to_values,
@@ -53,7 +55,7 @@ class Adjusted:
     graph, values: of the last round, with the final sigma. errors: the graph's error from round to round, times the
         square of the round's sigma so that they compare: px^2, halved.
     screened: the views and corners that were used.
-    lens_weight: how many times their information the priors of stated intrinsics count (``lens_weight``)."""
+    lens_weight: how many times their information the priors of stated intrinsics count (``weight_of_lenses``)."""
 
     estimate: Estimate
     sigma_px: float
@@ -72,22 +74,37 @@ def adjust(
     *,
     lens_weight: float = 1.0,
 ) -> Adjusted:
-    """Screen and solve in turns, until the same corners stay. lens_weight: see ``Adjusted``."""
+    """Screen and solve in turns, until the same corners stay; then the last steps to their optimum. lens_weight: see
+    ``Adjusted``."""
     screened = _screened(views, start, options)
     estimate = _graduated(screened, start, options) if options.graduated else start
     sigma_px = _sigma_px(screened.under(estimate), options)
     errors: tuple[float, ...] = ()
     for done in range(MAX_ROUNDS):
         progress("stage 3: pixels", done, MAX_ROUNDS)
-        estimate, found = minimised(screened, estimate, sigma_px, options, lens_weight)
-        errors += tuple(sigma_px**2 * error for error in (found[1:] if errors else found))
+        near = _optimum_nearby(screened, estimate, sigma_px, options, lens_weight) if done else None
+        if near is None:
+            estimate, found = minimised(screened, estimate, sigma_px, options, lens_weight, finish=False)
+            errors += tuple(sigma_px**2 * error for error in (found[1:] if errors else found))
+        else:
+            estimate = near
         before = screened, sigma_px
         screened = _screened(views, estimate, options)
         sigma_px = _sigma_px(screened, options)
         if screened.same_as(before[0]) and _settled(before[1], sigma_px, options):
             break
     progress("stage 3: pixels", MAX_ROUNDS, MAX_ROUNDS)
-    return _adjusted(screened, estimate, sigma_px, options, errors, lens_weight)
+    return _finished(_adjusted(screened, estimate, sigma_px, options, errors, lens_weight))
+
+
+def _finished(adjusted: Adjusted) -> Adjusted:
+    """At the optimum of its graph."""
+    values, error = finished(adjusted.graph, adjusted.values, adjusted.graph.error(adjusted.values))
+    estimate = updated(adjusted.estimate, values)
+    errors = (*adjusted.errors[:-1], adjusted.sigma_px**2 * error)
+    return replace(
+        adjusted, estimate=estimate, screened=adjusted.screened.under(estimate), values=values, errors=errors
+    )
 
 
 def _graduated(screened: Screened, start: Estimate, options: CalibrationOptions) -> Estimate:
@@ -96,7 +113,8 @@ def _graduated(screened: Screened, start: Estimate, options: CalibrationOptions)
     sigma_px = _sigma_px(screened, options)
     while widest_px > options.robust.parameter * sigma_px:
         kernel = RobustKernel(options.robust.name, widest_px / sigma_px)
-        estimate, _ = minimised(screened, estimate, sigma_px, replace(options, robust=kernel, graduated=False))
+        wider = replace(options, robust=kernel, graduated=False)
+        estimate, _ = minimised(screened, estimate, sigma_px, wider, finish=False)
         sigma_px = _sigma_px(screened.under(estimate), options)
         widest_px /= NARROWING
     return estimate
@@ -131,7 +149,13 @@ def _screened(views: Mapping[str, Views], estimate: Estimate, options: Calibrati
 
 
 def minimised(
-    screened: Screened, estimate: Estimate, sigma_px: float, options: CalibrationOptions, lens_weight: float = 1.0
+    screened: Screened,
+    estimate: Estimate,
+    sigma_px: float,
+    options: CalibrationOptions,
+    lens_weight: float = 1.0,
+    *,
+    finish: bool = True,
 ) -> tuple[Estimate, tuple[float, ...]]:
     """Where the corners' reprojection error is least, from an estimate, and the graph's error at the start and after
     each iteration."""
@@ -140,8 +164,18 @@ def minimised(
         _values(estimate, options),
         eps=options.eps,
         max_iterations=options.max_iterations,
+        finish=finish,
     )
     return updated(estimate, found.values), found.errors
+
+
+def _optimum_nearby(
+    screened: Screened, estimate: Estimate, sigma_px: float, options: CalibrationOptions, lens_weight: float
+) -> Estimate | None:
+    """What ``minimised`` would find, where one step leads there: after a few corners came or went."""
+    graph = _graph(screened, estimate, sigma_px, options, lens_weight)
+    values = optimum_nearby(graph, _values(estimate, options))
+    return None if values is None else updated(estimate, values)
 
 
 def _values(estimate: Estimate, options: CalibrationOptions) -> gtsam.Values:

@@ -10,14 +10,14 @@ share it make one cluster. Few clusters fit their own estimate too well; the cor
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from gtcal.camera import FloatArray
 from gtcal.estimation.adjustment import Adjusted
 from gtcal.estimation.errors_in_variables import prior_information
-from gtcal.estimation.frame_statistics import FrameMoments, frame_moments, frames_of, in_parts
+from gtcal.estimation.frame_statistics import FrameMoments, evenly, frame_moments, frames_of, in_parts
 from gtcal.estimation.linear import scaled_inverse, scaled_root, summed_by_run
 from gtcal.estimation.mocap_noise import MocapNoiseModel, lower_factors
 from gtcal.estimation.observations import Views
@@ -28,6 +28,9 @@ from gtcal.results.covariance import CLUSTERED, JointCovariance
 
 MOST_CORRECTED = 300
 """Clusters up to which each is corrected by its own leverage; beyond, that no longer matters."""
+
+MOST_WEIGHED = 2_000
+"""Frames from which the weight of the lenses is found."""
 
 _CORRELATION_TIMES = 3.0
 _WEIGHT_ROUNDS, _SAME_WEIGHT = 4, 0.1
@@ -53,7 +56,7 @@ def by_one_factor(
     """The covariance of stage 3's estimate where the clusters are too few to show how each unknown scatters: all of the
     corners' information is too large by one factor, that of all unknowns together (the magnitude adjustment of
     ``lens_weight``)."""
-    sums = _Sums.of(_parts(adjusted, options), correlation_s)
+    sums = ClusterSums.of(_parts(adjusted, options), correlation_s)
     root, gradients = sums.white_gradients(Priors.of(adjusted, options))
     factor = max(1.0, float(np.sum(gradients**2) / np.trace(root @ sums.information @ root.T)))
     known = Priors.of(adjusted, options, 1.0).information
@@ -63,7 +66,8 @@ def by_one_factor(
 @dataclass(frozen=True)
 class Priors:
     """What is known beforehand. information: (P, P) as the estimate weighs it; scatter: (P, P) of its gradients, by
-    what is truly known: of the weight w that ``lens_weight`` gives the stated intrinsics, w and w^2 times theirs."""
+    what is truly known: of the weight w that ``weight_of_lenses`` gives the stated intrinsics, w and w^2 times
+    theirs."""
 
     information: FloatArray
     scatter: FloatArray
@@ -79,11 +83,13 @@ class Priors:
         return Priors(*found)
 
 
-def _parts(adjusted: Adjusted, options: CalibrationOptions) -> Iterator[FrameMoments]:
+def _parts(adjusted: Adjusted, options: CalibrationOptions, frames: IntArray | None = None) -> Iterator[FrameMoments]:
+    """Of all frames, or of these."""
+    views = adjusted.screened.views
     return in_parts(
-        adjusted.screened.views,
+        views,
         adjusted.estimate,
-        frames_of(adjusted.screened.views),
+        frames_of(views) if frames is None else frames,
         sigma_px=adjusted.sigma_px,
         free_theta=options.refine_intrinsics,
         free_shape=options.solves_board_shape,
@@ -91,7 +97,7 @@ def _parts(adjusted: Adjusted, options: CalibrationOptions) -> Iterator[FrameMom
     )
 
 
-def lens_weight(adjusted: Adjusted, options: CalibrationOptions) -> float:
+def weight_of_lenses(adjusted: Adjusted, options: CalibrationOptions, n_frames: int) -> float:
     """By how much the priors of stated intrinsics must count more in stage 3 than alone, at least 1.
 
     Stage 3 takes all corners for independent; those of a frame are not, so that it believes too much in what they say
@@ -99,8 +105,11 @@ def lens_weight(adjusted: Adjusted, options: CalibrationOptions) -> float:
     variance that frames show of the intrinsics exceeds what the corners claim: the magnitude adjustment of a composite
     likelihood (Pauli, Racugno and Ventura 2011; Ribatet, Cooley and Davison 2012). Variances are summed in units of the
     priors', so that what the data determine better than they need not be told counts little. As the weight sets what
-    the data have to determine, it is found in turns."""
-    sums = _Sums.of(_parts(adjusted, options), 0.0)
+    the data have to determine, it is found in turns.
+
+    n_frames: of the recording, of which ``adjusted`` may know a part. Of many frames some speak for all."""
+    frames = evenly(frames_of(adjusted.screened.views), MOST_WEIGHED)
+    sums = ClusterSums.of(_parts(adjusted, options, frames), 0.0).times(n_frames / len(frames))
     first = 6 + 6 * len(adjusted.screened.views)
     lens_information = Priors.of(adjusted, options, 2.0).information - Priors.of(adjusted, options, 1.0).information
     weight = adjusted.lens_weight
@@ -170,13 +179,11 @@ def clustered_covariance(parts: Iterable[FrameMoments], priors: Priors, correlat
     """(P, P) covariance of stage 3's unknowns, from the moments of all frames there, in parts one after the other.
 
     Raises numpy.linalg.LinAlgError where the frames leave a direction open."""
-    root, gradients = _Sums.of(parts, correlation_s).white_gradients(priors)
-    half = gradients @ root
-    return half.T @ half + root.T @ root @ priors.scatter @ root.T @ root
+    return ClusterSums.of(parts, correlation_s).covariance(priors)
 
 
 @dataclass(frozen=True)
-class _Sums:
+class ClusterSums:
     """What the clusters say: information (P, P) of all, gradients (G, P) of each; and the information of each,
     (G, P, P), where they are few."""
 
@@ -184,8 +191,18 @@ class _Sums:
     gradients: FloatArray
     of_each: FloatArray | None
 
+    def times(self, n: float) -> ClusterSums:
+        """Of n times as many clusters, of which these tell as much of all as they would."""
+        return replace(self, information=n * self.information, gradients=np.sqrt(n) * self.gradients)
+
+    def covariance(self, priors: Priors) -> FloatArray:
+        """(P, P) of the estimate. Raises numpy.linalg.LinAlgError where the frames leave a direction open."""
+        root, gradients = self.white_gradients(priors)
+        half = gradients @ root
+        return np.asarray(half.T @ half + root.T @ root @ priors.scatter @ root.T @ root)
+
     @staticmethod
-    def of(parts: Iterable[FrameMoments], correlation_s: float) -> _Sums:
+    def of(parts: Iterable[FrameMoments], correlation_s: float) -> ClusterSums:
         information: list[FloatArray] = []
         gradients: list[FloatArray] = []
         of_each: list[FloatArray] = []
@@ -197,7 +214,7 @@ class _Sums:
             gradients.append(sums[:, :-1, -1].copy())
             of_each = [*of_each, sums[:, :-1, :-1]] if n_clusters <= MOST_CORRECTED else []
         each = np.concatenate(of_each) if n_clusters <= MOST_CORRECTED else None
-        return _Sums(np.sum(information, axis=0), np.concatenate(gradients), each)
+        return ClusterSums(np.sum(information, axis=0), np.concatenate(gradients), each)
 
     def white_gradients(self, priors: Priors) -> tuple[FloatArray, FloatArray]:
         """R with R H R^T = I, H with the priors, and R g (G, P) of each cluster, corrected for how well it fits

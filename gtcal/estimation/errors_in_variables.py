@@ -49,6 +49,7 @@ from gtcal.estimation.observations import Dropped, Views
 from gtcal.estimation.options import CalibrationOptions, MocapSigmas
 from gtcal.estimation.residuals import corner_views, select_views
 from gtcal.estimation.screening import screen
+from gtcal.estimation.thinning import is_long, thinned
 from gtcal.progress import Progress, silent
 from gtcal.recordings.capture import RefMotion
 from gtcal.recordings.detections import IntArray
@@ -89,7 +90,9 @@ def model_mocap_noise(
             break
         progress("stage 4: mocap noise", done, passes)
         screened, fit = fitted
-        freed = adjust_with_mocap_noise(screened, fit, motion, options)
+        first_of_long = done + 1 < passes and is_long(screened.screened.views)
+        solve = _from_some_frames if first_of_long else adjust_with_mocap_noise
+        freed = solve(screened, fit, motion, options)
         before = found[1].dropped if found else ()
         found = freed, replace(fit, dropped=before + fit.dropped)
     if found:
@@ -212,6 +215,15 @@ def adjust_with_mocap_noise(
     found = minimise(graph, values, eps=options.eps, max_iterations=options.max_iterations)
     estimate = updated(estimate, found.values)
     return Adjusted(estimate, fit.sigma_px, adjusted.screened.under(estimate), graph, found.values, found.errors)
+
+
+def _from_some_frames(
+    adjusted: Adjusted, fit: MocapNoiseFit, motion: RefMotion, options: CalibrationOptions
+) -> Adjusted:
+    """What ``adjust_with_mocap_noise`` finds from a part of the views, for all of them."""
+    some = replace(adjusted.screened, views=thinned(adjusted.screened.views)).under(adjusted.estimate)
+    found = adjust_with_mocap_noise(replace(adjusted, screened=some), fit, motion, options).estimate
+    return replace(adjusted, estimate=found, screened=adjusted.screened.under(found))
 
 
 def shared_keys(views: Mapping[str, Views], options: CalibrationOptions) -> dict[int, int]:

@@ -162,6 +162,13 @@ def frames_of(views: Mapping[str, Views]) -> IntArray:
     return np.unique(np.concatenate([of_camera.frame_index for of_camera in views.values()]))
 
 
+def n_corners_of(views: Mapping[str, Views], frames: IntArray) -> int:
+    """How many corners all cameras saw in these frames."""
+    return sum(
+        int(np.diff(of_camera.view_start)[np.isin(of_camera.frame_index, frames)].sum()) for of_camera in views.values()
+    )
+
+
 def evenly(frames: IntArray, most: int) -> IntArray:
     """At most so many of the frames, evenly spread."""
     return frames if len(frames) <= most else frames[np.linspace(0, len(frames) - 1, most).round().astype(np.int64)]

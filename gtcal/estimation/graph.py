@@ -145,6 +145,9 @@ _LARGEST_DAMPING = 1e9
 _MOST_LAST_STEPS, _LEAST_PROMISE, _ROUNDING = 4, 1e-13, 1e-12
 """After a step that promised less than this share of the error, the next is far below a millionth of a sigma."""
 
+_SURE_PROMISE = 1e-6
+"""A step that promises less than this share of the error is taken unseen: the error is a parabola there."""
+
 
 @dataclass(frozen=True)
 class Minimisation:
@@ -160,10 +163,10 @@ class Minimisation:
 
 
 def minimise(
-    graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, *, eps: float, max_iterations: int
+    graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, *, eps: float, max_iterations: int, finish: bool = True
 ) -> Minimisation:
-    """Levenberg-Marquardt until an iteration improves the error E by less than eps (1 + E), then undamped steps to the
-    optimum itself: damping and ``eps`` would leave a share of a sigma that depends on where the origins are.
+    """Levenberg-Marquardt until an iteration improves the error E by less than eps (1 + E), then, with ``finish``,
+    undamped steps to the optimum itself (``finished``).
 
     Damped by the Hessian's diagonal: rad, m, px and distortion coefficients stand side by side in one graph."""
     parameters = gtsam.LevenbergMarquardtParams()
@@ -176,26 +179,51 @@ def minimise(
         errors.append(optimizer.error())
         converged = not errors[-2] - errors[-1] >= eps * (1.0 + errors[-1])
     found, converged = optimizer.values(), converged and bool(np.isfinite(errors[-1]))
-    if converged:
-        found, errors[-1] = _finished(graph, found, errors[-1])
+    if converged and finish:
+        found, errors[-1] = finished(graph, found, errors[-1])
     return Minimisation(found, tuple(errors), converged)
 
 
-def _finished(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, error: float) -> tuple[gtsam.Values, float]:
-    """After Gauss-Newton steps, which are the same in any frame, while they promise a gain over rounding and keep
-    it."""
+@dataclass(frozen=True)
+class _Step:
+    """A Gauss-Newton step: where it leads, by how much it promises to lower the error, and the error before it as the
+    linearised graph has it (that of weighted squares, where a kernel is robust)."""
+
+    moved: gtsam.Values
+    promised: float
+    error: float
+
+
+def _gauss_newton_step(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> _Step | None:
+    """None where a direction is open."""
+    linear = graph.linearize(values)
+    try:
+        step = linear.optimize()
+    except RuntimeError:
+        return None
+    promised = -0.5 * linear.gradientAtZero().dot(step)
+    return _Step(values.retract(step), promised, linear.error(gtsam.VectorValues.Zero(step)))
+
+
+def optimum_nearby(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> gtsam.Values | None:
+    """The optimum, where values are so near to it that one step leads there; None elsewhere."""
+    step = _gauss_newton_step(graph, values)
+    return step.moved if step is not None and step.promised <= _SURE_PROMISE * step.error else None
+
+
+def finished(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, error: float) -> tuple[gtsam.Values, float]:
+    """Values near an optimum, of this error, and their error, after Gauss-Newton steps while these promise a gain over
+    rounding and keep it. Where Levenberg-Marquardt stops, its damping leaves a share of a sigma that depends on where
+    the origins are; these steps are the same in any frame."""
     for _ in range(_MOST_LAST_STEPS):
-        linear = graph.linearize(values)
-        try:
-            step = linear.optimize()
-        except RuntimeError:  # singular: a direction that the data leave open
+        step = _gauss_newton_step(graph, values)
+        if step is None:
             break
-        promised = -0.5 * linear.gradientAtZero().dot(step)
-        moved = values.retract(step)
-        moved_error = graph.error(moved)
+        sure = step.promised <= _SURE_PROMISE * error
+        moved_error = error - step.promised if sure else graph.error(step.moved)
         if not moved_error <= error * (1.0 + _ROUNDING):
             break
-        values, error = moved, min(moved_error, error)
-        if promised <= _LEAST_PROMISE * error:
+        values, error = step.moved, min(moved_error, error)
+        if step.promised <= _LEAST_PROMISE * error:
             break
     return values, error

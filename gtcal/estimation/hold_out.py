@@ -14,12 +14,15 @@ import numpy as np
 
 from gtcal.camera import FloatArray
 from gtcal.estimation.estimate import Estimate
-from gtcal.estimation.frame_statistics import eliminate_noise, frames_of, in_parts
+from gtcal.estimation.frame_statistics import eliminate_noise, frames_of, in_parts, n_corners_of
 from gtcal.estimation.mocap_noise import MocapNoiseModel, lower_factors
 from gtcal.estimation.observations import Views
 from gtcal.recordings.capture import RefMotion
 
 FOLDS = 10
+
+MOST_IN_FOLD = 400
+"""Frames, in a row: more make a long recording's hold-out error no surer than it need be."""
 
 
 @dataclass(frozen=True)
@@ -94,11 +97,14 @@ def hold_out(
     information: FloatArray,
     exact_information: FloatArray,
 ) -> HoldOut:
-    """The sums of ``FOLDS`` blocks of time round an estimate; of as many as there are frames, where these are fewer.
+    """The sums of ``FOLDS`` blocks of time round an estimate, of each at most ``MOST_IN_FOLD`` frames; of as many
+    blocks as there are frames, where these are fewer.
     information, exact_information: of the priors, as an estimate weighs them that models the mocap's noise, and one
     that does not."""
-    blocks, frames = [], frames_of(views)
-    for block in np.array_split(frames, min(FOLDS, len(frames))):
+    frames = frames_of(views)
+    folds = [fold[:MOST_IN_FOLD] for fold in np.array_split(frames, min(FOLDS, len(frames)))]
+    blocks = []
+    for block in folds:
         exact, noisy = np.zeros_like(information), np.zeros_like(information)
         for moments in in_parts(
             views, estimate, block, sigma_px=sigma_px, free_theta=free_theta, free_shape=free_shape
@@ -108,5 +114,5 @@ def hold_out(
             eliminate_noise(moments.moments, lower_factors(covariance), rho, noisy)
             exact += moments.exact.sum(axis=0)
         blocks.append(_Block(exact, np.triu(noisy) + np.triu(noisy, 1).T))
-    n_corners = sum(of_camera.n_corners for of_camera in views.values())
+    n_corners = n_corners_of(views, np.concatenate(folds))
     return HoldOut(tuple(blocks), n_corners, sigma_px, exact_information, information)

@@ -73,9 +73,9 @@ def select_views(views: Views, index: IntArray) -> Views:
         frame_index=views.frame_index[index],
         ref_T_body=views.ref_T_body[index],
         view_start=start,
-        corner_ids=views.corner_ids[rows],
-        corners_m=views.corners_m[rows],
-        corners_px=views.corners_px[rows],
+        corner_ids=views.corner_ids.take(rows),
+        corners_m=views.corners_m.take(rows, axis=0),
+        corners_px=views.corners_px.take(rows, axis=0),
     )
 
 
@@ -97,12 +97,13 @@ def views_from_to(views: Views, first: int, end: int) -> Views:
 
 def select_corners(views: Views, keep: BoolArray) -> Views:
     """The corners where ``keep`` (N,) is True, and the views that have one left."""
-    counts = np.add.reduceat(keep.astype(np.int64), views.view_start[:-1])
+    counts = np.add.reduceat(keep, views.view_start[:-1], dtype=np.int64)
+    rows = np.flatnonzero(keep)
     trimmed = replace(
         views,
         view_start=np.concatenate([[0], np.cumsum(counts)]).astype(np.int64),
-        corner_ids=views.corner_ids[keep],
-        corners_m=views.corners_m[keep],
-        corners_px=views.corners_px[keep],
+        corner_ids=views.corner_ids.take(rows),
+        corners_m=views.corners_m.take(rows, axis=0),
+        corners_px=views.corners_px.take(rows, axis=0),
     )
     return trimmed if counts.all() else select_views(trimmed, np.flatnonzero(counts))

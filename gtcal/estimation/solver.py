@@ -14,7 +14,7 @@ from gtcal.errors import GtcalError
 from gtcal.estimation.adjustment import Adjusted, adjust, joint_covariance, not_adjusted
 from gtcal.estimation.alignment import GuideViews, fitting_views, stage_1, stage_2, without_stage_1
 from gtcal.estimation.choice import choose
-from gtcal.estimation.clustered import by_noise_model, by_one_factor, clustered, lens_weight
+from gtcal.estimation.clustered import by_noise_model, by_one_factor, clustered, weight_of_lenses
 from gtcal.estimation.errors_in_variables import MocapNoiseFit, model_mocap_noise, whiteness
 from gtcal.estimation.estimate import Estimate
 from gtcal.estimation.field_edge import without_edge
@@ -40,6 +40,7 @@ from gtcal.estimation.solver_warnings import (
     screening_warnings,
     weak_direction_warnings,
 )
+from gtcal.estimation.thinning import is_long, thinned
 from gtcal.files import InputFile
 from gtcal.progress import Progress, silent
 from gtcal.results.board_shape import BoardShape
@@ -220,17 +221,30 @@ def _stage_3(
     if 3 not in options.stages:
         return not_adjusted(views, estimate, options), ()
     started = time.perf_counter()
-    adjusted = _weighed(adjust(views, estimate, options, progress), views, options)
+    weight, n_frames = 1.0, len(frames_of(views))
+    if is_long(views):
+        first = _weighed(thinned(views), estimate, options, silent, n_frames)
+        estimate, weight, options = first.estimate, first.lens_weight, replace(options, graduated=False)
+    adjusted = _weighed(views, estimate, options, progress, n_frames, lens_weight=weight)
     report = _report(3, "pixels", started, adjusted.errors, "px^2/2")
     return adjusted, (replace(report, median_px=_median_px(views, adjusted.estimate)),)
 
 
-def _weighed(adjusted: Adjusted, views: Mapping[str, Views], options: CalibrationOptions) -> Adjusted:
+def _weighed(
+    views: Mapping[str, Views],
+    start: Estimate,
+    options: CalibrationOptions,
+    progress: Progress,
+    n_frames: int,
+    *,
+    lens_weight: float = 1.0,
+) -> Adjusted:
     """Stage 3 with what is stated of the lenses counted as it should be beside corners that err together, frame by
-    frame."""
+    frame, of a recording of so many frames: by ``lens_weight`` at first."""
+    adjusted = adjust(views, start, options, progress, lens_weight=lens_weight)
     for _ in range(_WEIGHINGS if options.trusts_stated_intrinsics else 0):
         try:
-            weight = lens_weight(adjusted, options)
+            weight = weight_of_lenses(adjusted, options, n_frames)
         except np.linalg.LinAlgError:
             break  # a direction is open, and named later
         if abs(np.log(weight / adjusted.lens_weight)) < _SAME_WEIGHT:
