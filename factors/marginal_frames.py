@@ -20,6 +20,7 @@ import gtsam
 import numpy as np
 
 from factors.board_shape import FLAT, N_SHAPE
+from factors.cores import in_order
 from factors.frames import CameraFrames, add_views
 from factors.moments import chain, triangular_factor
 from factors.noise_chain import NoiseChain
@@ -153,9 +154,9 @@ class MarginalFramesFactor(gtsam.CustomFactor):
         size = self._blocks[-1][1] + 1
         noises = NoiseChain.starting(len(z), size)
         total, loss, square = np.zeros((size, size)), 0.0, 0.0
-        for part in self._parts:
+        found = in_order(lambda part: self._moments(part, values, ref_T_body[part.rows]), self._parts)
+        for part, (moments, loss_of_part) in zip(self._parts, found, strict=True):
             rows = part.rows
-            moments, loss_of_part = self._moments(part, values, ref_T_body[rows])
             loss += loss_of_part
             square += float(moments[:, -1, -1].sum())
             _about_no_noise(moments, turned[rows], xi[rows])

@@ -21,9 +21,8 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
-from functools import cache, partial
+from functools import partial
 from typing import Any
 
 import gtsam
@@ -31,7 +30,7 @@ import numpy as np
 
 from factors.board_shape import FLAT, N_SHAPE
 from factors.camera_models import CameraModel
-from factors.cores import n_cores
+from factors.cores import in_order, n_cores_here
 from factors.moments import chain, transport, triangular_factor
 from factors.reprojection_kernels import FloatArray, IntArray, view_kernels
 from factors.rigid import pose_at
@@ -96,16 +95,11 @@ class ViewMoments:
     n_invalid: IntArray
 
 
-@cache
-def _threads() -> ThreadPoolExecutor:
-    return ThreadPoolExecutor(n_cores(), thread_name_prefix="reprojection")
-
-
 def _tasks(view_start: IntArray) -> list[tuple[int, int]]:
     """Ranges of views with about as many corners each, no more than there are cores."""
     wanted = int(view_start[-1]) // _CORNERS_PER_TASK
     # asking for the number of cores takes longer than a view
-    n_tasks = min(wanted, n_cores()) if wanted > 1 else 1
+    n_tasks = min(wanted, n_cores_here()) if wanted > 1 else 1
     if n_tasks == 1:
         return [(0, len(view_start) - 1)]
     bounds = np.searchsorted(view_start, np.linspace(0, view_start[-1], n_tasks + 1)[1:-1])
@@ -118,7 +112,7 @@ def _run_on_all_cores(run: Callable[[tuple[int, int]], None], view_start: IntArr
     if len(tasks) == 1:
         run(tasks[0])
     else:
-        list(_threads().map(run, tasks))
+        list(in_order(run, tasks))
 
 
 def _poses_of(views: CornerViews, camera_T_board: FloatArray) -> FloatArray:
@@ -272,50 +266,58 @@ def reprojection_moments(
     free_body: bool = False,
     free_theta: bool = False,
     free_shape: bool = False,
-) -> FloatArray:
+) -> tuple[FloatArray, float]:
     """Sum of w [J r]^T [J r] over all views, upper triangle, in the tangents of camera_T_ref, of ref_T_body where
     ``free_body`` (one view only), of body_T_board, of theta where ``free_theta`` and of the board's shape where
-    ``free_shape``; the residual is last."""
+    ``free_shape``, the residual last; and the summed loss."""
     camera_T_board = chain(camera_T_ref, ref_T_body, body_T_board)
     by_view = view_moments(
         views, camera_T_board, model, theta, shape, robust=robust, with_theta=free_theta, with_shape=free_shape
     )
-    return transport(by_view.moments, ref_T_body, body_T_board, free_body=free_body)
+    moments = transport(by_view.moments, ref_T_body, body_T_board, free_body=free_body)
+    return moments, float(by_view.loss.sum())
 
 
 @dataclass(frozen=True)
-class _FusedResidual:
-    """The callback of the fused factor."""
+class _Summed:
+    """All corners at some arguments: the triangular factor of their [J r], and their loss."""
 
-    views: CornerViews
-    variables: _Variables
-    model: CameraModel
-    robust: AnyKernel
+    at: tuple[FloatArray, ...]
+    triangle: FloatArray
+    loss: float
+
+    def is_at(self, arguments: tuple[FloatArray, ...]) -> bool:
+        return all(there is here or np.array_equal(there, here) for there, here in zip(self.at, arguments, strict=True))
+
+
+class _FusedResidual:
+    """The callback of the fused factor. It keeps what it summed last: where a step is tried, the next one begins."""
+
+    def __init__(self, views: CornerViews, variables: _Variables, model: CameraModel, robust: AnyKernel) -> None:
+        self._views, self._variables, self._model, self._robust = views, variables, model, robust
+        self._last: _Summed | None = None
 
     def __call__(self, factor: gtsam.CustomFactor, values: gtsam.Values, jacobians: Jacobians) -> FloatArray:
-        camera_T_ref, ref_T_body, body_T_board, theta, shape = self.variables.at(values)
+        summed = self._at(self._variables.at(values))
         if jacobians is None:
-            camera_T_board = chain(camera_T_ref, ref_T_body, body_T_board)
-            by_view = view_moments(
-                self.views, camera_T_board, self.model, theta, shape, robust=self.robust, with_moments=False
+            return np.array([math.sqrt(2.0 * summed.loss)])
+        self._variables.split(jacobians, summed.triangle[:, :-1])
+        return summed.triangle[:, -1]
+
+    def _at(self, arguments: tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]) -> _Summed:
+        if self._last is None or not self._last.is_at(arguments):
+            moments, loss = reprojection_moments(
+                self._views,
+                *arguments[:3],
+                self._model,
+                *arguments[3:],
+                robust=self._robust,
+                free_body=self._variables.free_body,
+                free_theta=self._variables.free_theta,
+                free_shape=self._variables.free_shape,
             )
-            return np.array([math.sqrt(2.0 * by_view.loss.sum())])
-        moments = reprojection_moments(
-            self.views,
-            camera_T_ref,
-            ref_T_body,
-            body_T_board,
-            self.model,
-            theta,
-            shape,
-            robust=self.robust,
-            free_body=self.variables.free_body,
-            free_theta=self.variables.free_theta,
-            free_shape=self.variables.free_shape,
-        )
-        triangle = triangular_factor(moments)
-        self.variables.split(jacobians, triangle[:, :-1])
-        return triangle[:, -1]
+            self._last = _Summed(arguments, triangular_factor(moments), loss)
+        return self._last
 
 
 class FusedReprojectionFactor(gtsam.CustomFactor):

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from factors_support import SHAPE, THETA, A, Scene, X, Y, derivative_to, scene
 
-from factors import GAUSSIAN, ROBUST_KERNELS, CornerViews, RobustKernel
+from factors import GAUSSIAN, ROBUST_KERNELS, CornerViews, RobustKernel, cores
 from factors import reprojection as module
 from factors.board_shape import FLAT, N_SHAPE
 from factors.moments import transport, triangular_factor
@@ -189,7 +189,8 @@ def test_the_number_of_cores_does_not_matter(monkeypatch: pytest.MonkeyPatch, n_
     seen = scene(n_views=6)
     alone = moments_of(seen)
     monkeypatch.setattr(module, "_CORNERS_PER_TASK", 10)
-    monkeypatch.setattr(module, "n_cores", lambda: n_cores)
+    monkeypatch.setattr(cores, "n_cores", lambda: n_cores)
+    cores._threads.cache_clear()
     assert len(module._tasks(seen.views.view_start)) == n_cores
     for got, expected in zip(moments_of(seen), alone, strict=True):
         np.testing.assert_array_equal(got, expected)
@@ -256,7 +257,7 @@ def test_one_view_of_a_free_body_leaves_directions_open() -> None:
     factor = seen.fused(seen.views, A(0), THETA)
     linear = factor.linearize(values)
     Y_c, A_t, X_b = (values.atPose3(key).matrix() for key in (Y, A(0), X))
-    upper = reprojection_moments(
+    upper, _ = reprojection_moments(
         seen.views, Y_c, A_t[None], X_b, seen.model, values.atVector(THETA), free_body=True, free_theta=True
     )
     moments = np.triu(upper) + np.triu(upper, 1).T

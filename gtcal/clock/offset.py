@@ -21,13 +21,16 @@ from gtcal.clock.rolling_shutter import readout_columns_px_per_s
 from gtcal.errors import GtcalError
 from gtcal.estimation.clustered import ClusterSums, Priors
 from gtcal.estimation.errors_in_variables import prior_information
-from gtcal.estimation.frame_statistics import FrameMoments, eliminate_noise, frames_of, in_parts
+from gtcal.estimation.frame_statistics import FrameMoments, eliminate_noise, evenly, frames_of, in_parts
 from gtcal.estimation.mocap_noise import MocapNoiseModel, lower_factors
 from gtcal.estimation.observations import Views
 from gtcal.estimation.options import CalibrationOptions, MocapSigmas
 from gtcal.recordings.capture import RefMotion
 from gtcal.recordings.detections import IntArray
 from gtcal.results.calibration import Calibration, MocapNoise
+
+MOST_FRAMES = 4_000
+"""Evenly spread: so many tell the clock to a few us, and cost no more however long the recording is."""
 
 
 @dataclass(frozen=True)
@@ -102,7 +105,7 @@ def _parts(
         return in_parts(
             views,
             estimate,
-            frames_of(views),
+            evenly(frames_of(views), MOST_FRAMES),
             sigma_px=calibration.sigma_px,
             free_theta=options.refine_intrinsics,
             free_shape=options.solves_board_shape,

@@ -10,6 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from factors.cores import in_order
 from gtcal.camera import BoolArray
 from gtcal.estimation.observations import Dropped, Observations, Views, pooled
 from gtcal.estimation.residuals import select_corners
@@ -26,8 +27,8 @@ AT_EDGE = "corner at the edge of the lens's field (its pixel does not tell its d
 def without_edge(observations: Observations) -> Observations:
     """The observations less those corners, which are counted among the dropped."""
     views, dropped = dict(observations.views), []
-    for name, of_camera in observations.views.items():
-        inside = _inside(of_camera)
+    found = in_order(_inside, observations.views.values())
+    for (name, of_camera), inside in zip(observations.views.items(), found, strict=True):
         if inside.all() or np.mean(~inside) > MOST:
             continue
         views[name] = select_corners(of_camera, inside)

@@ -17,6 +17,7 @@ import numpy as np
 
 from factors import GAUSSIAN, AnyKernel
 from factors.board_shape import N_SHAPE
+from factors.cores import in_order
 from factors.frames import add_views
 from factors.moments import chain
 from factors.noise_chain import NoiseChain
@@ -145,8 +146,9 @@ def in_parts(
     robust: AnyKernel = GAUSSIAN,
 ) -> Iterator[FrameMoments]:
     """The moments of the frames at ``frames``, increasing, a few hundred at a time: a frame's take up to 60 kB."""
-    for part in np.array_split(frames, -(-len(frames) // _MOST_AT_ONCE)):
-        yield frame_moments(
+
+    def of(part: IntArray) -> FrameMoments:
+        return frame_moments(
             views,
             estimate,
             sigma_px=sigma_px,
@@ -155,6 +157,8 @@ def in_parts(
             frames=part,
             robust=robust,
         )
+
+    return in_order(of, np.array_split(frames, -(-len(frames) // _MOST_AT_ONCE)))
 
 
 def frames_of(views: Mapping[str, Views]) -> IntArray:

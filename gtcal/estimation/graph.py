@@ -142,8 +142,8 @@ def shape_prior(sigmas: FloatArray) -> gtsam.NonlinearFactor:
 
 _LARGEST_DAMPING = 1e9
 
-_MOST_LAST_STEPS, _LEAST_PROMISE, _ROUNDING = 4, 1e-13, 1e-12
-"""After a step that promised less than this share of the error, the next is far below a millionth of a sigma."""
+_MOST_LAST_STEPS, _LEAST_PROMISE, _ROUNDING = 4, 1e-16, 1e-12
+"""A step that promises less than this share of the error is far below a millionth of a sigma."""
 
 _SURE_PROMISE = 1e-6
 """A step that promises less than this share of the error is taken unseen: the error is a parabola there."""
@@ -219,11 +219,11 @@ def finished(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, error: flo
         step = _gauss_newton_step(graph, values)
         if step is None:
             break
+        if step.promised <= _LEAST_PROMISE * error:
+            break  # where the graph was linearised: its covariance is there
         sure = step.promised <= _SURE_PROMISE * error
         moved_error = error - step.promised if sure else graph.error(step.moved)
         if not moved_error <= error * (1.0 + _ROUNDING):
             break
         values, error = step.moved, min(moved_error, error)
-        if step.promised <= _LEAST_PROMISE * error:
-            break
     return values, error

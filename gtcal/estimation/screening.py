@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from factors.cores import in_order
 from gtcal.camera import BoolArray, FloatArray
 from gtcal.estimation.estimate import Estimate
 from gtcal.estimation.observations import Dropped, Views
@@ -92,14 +93,15 @@ def _screened(
     estimate: Estimate,
     masks: Callable[[Views, FloatArray, FloatArray], tuple[BoolArray, BoolArray]],
 ) -> Screened:
-    kept, lengths_px, keep_view, keep_corner = {}, {}, {}, {}
-    for name, of_camera in views.items():
+    def of(of_camera: Views) -> tuple[Views, FloatArray, BoolArray, BoolArray]:
         residuals_px = chain_residuals_px(of_camera, estimate)
         lengths = norms(residuals_px)
-        keep_view[name], keep = masks(of_camera, residuals_px, lengths)
-        keep_corner[name], lengths_px[name] = keep, lengths[keep]
-        kept[name] = of_camera if keep.all() else select_corners(of_camera, keep)
-    return Screened(kept, lengths_px, keep_view, keep_corner)
+        keep_view, keep = masks(of_camera, residuals_px, lengths)
+        return of_camera if keep.all() else select_corners(of_camera, keep), lengths[keep], keep_view, keep
+
+    kept, lengths_px, keep_view, keep_corner = zip(*in_order(of, views.values()), strict=True)
+    of_each = (dict(zip(views, values, strict=True)) for values in (kept, lengths_px, keep_view, keep_corner))
+    return Screened(*of_each)
 
 
 def _all(views: Views, residuals_px: FloatArray, lengths_px: FloatArray) -> tuple[BoolArray, BoolArray]:

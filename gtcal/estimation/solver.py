@@ -389,7 +389,8 @@ def _report(stage: int, name: str, started_s: float, errors: tuple[float, ...] =
 
 def _median_px(views: Mapping[str, Views], estimate: Estimate) -> float:
     """Median over the views of all cameras of the median residual of their corners; NaN where most of them have no
-    pixel under the estimate."""
+    pixel under the estimate. Of many frames some speak for all."""
+    views = thinned(views) if is_long(views) else views
     medians = [
         median_by_view(of_camera, norms(chain_residuals_px(of_camera, estimate))) for of_camera in views.values()
     ]
