@@ -136,6 +136,18 @@ def test_a_lens_far_from_what_is_stated_is_a_finding() -> None:
     assert "intrinsics" in {finding.fault for finding in found.findings}
 
 
+@pytest.mark.long
+def test_a_lens_far_from_what_is_stated_is_a_finding_beside_one_that_is_not_stated() -> None:
+    recording = simulated(frames=80).recording
+    off = theta(recording, lambda values: values * np.append([1.02, 1.02], np.ones(len(values) - 2)))
+    name = next(iter(off.cameras))
+    mixed = replace(off, cameras=off.cameras | {name: replace(off.cameras[name], parameters=None)})
+    found = diagnose_recording(mixed)
+    (finding,) = [finding for finding in found.findings if finding.fault == "intrinsics"]
+    assert f"'{name}'" not in finding.says
+    assert not any("no calibration" in note for note in found.notes)
+
+
 @pytest.fixture(scope="module", name="device")
 def _device() -> LollypopOptions:
     simulation = simulated()
