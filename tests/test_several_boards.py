@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,6 +16,8 @@ from factors.rigid import inverse
 from gtcal import CalibrationOptions, calibrate
 from gtcal.board import PAPER_A2
 from gtcal.camera import FloatArray
+from gtcal.camera_files.calibration_rig import calibration_rig
+from gtcal.camera_files.formats import read_rig, write_rig
 from gtcal.errors import GtcalError
 from gtcal.estimation.linear import squared_distance
 from gtcal.plain_boards import Chessboard
@@ -150,6 +153,28 @@ def test_from_the_simulation_to_the_report(tmp_path: Path) -> None:
     assert back.other_boards[0].body_T_board.covariance is not None
     assert "board_2" in (tmp_path / "r.html").read_text()
     assert run("report", tmp_path / "c.json", "--recording", folder, "-o", tmp_path / "again.html").code == 0
+
+
+@pytest.mark.long
+def test_boards_that_hide_each_other_in_images_are_told_apart(tmp_path: Path) -> None:
+    folder = tmp_path / "two"
+    small = ("--frames", "24", "--duration-s", "16", "--image-scale", "0.5")
+    assert run("simulate", "-o", folder, "--boards", "2", "--images", *small).code == 0
+    assert run("calibrate", folder, "-o", tmp_path / "c.json").code == 0
+    found = read_calibration(tmp_path / "c.json")
+    truth = json.loads((folder / "ground_truth.json").read_text())
+    (other,) = found.other_boards
+    (first,) = truth["boards"].keys() - {other.name}
+    for estimate, expected in (
+        (found.body_T_board, truth["boards"][first]),
+        (other.body_T_board, truth["boards"][other.name]),
+        *((camera.camera_T_ref, truth["cameras"][name]["camera_T_ref"]) for name, camera in found.cameras.items()),
+    ):
+        assert estimate.covariance is not None
+        assert squared_distance(_apart(estimate.a_T_b, np.array(expected)), estimate.covariance) < 6 * 4.0
+    assert not write_rig(calibration_rig(found), tmp_path / "rig.npz", "numpy", ["of a test"])
+    back = read_rig(tmp_path / "rig.npz", "numpy").rig
+    np.testing.assert_array_equal(back.other_boards[other.name], other.body_T_board.a_T_b)
 
 
 def test_a_board_that_moved_is_named(recordings: dict[str, Recording]) -> None:

@@ -17,4 +17,9 @@ _REFS = {
 def calibration_rig(calibration: Calibration) -> Rig:
     """The cameras of a calibration, in ref."""
     cameras = [RigCamera(c.camera_with_sigmas, c.camera_T_ref.a_T_b) for c in calibration.cameras.values()]
-    return Rig(tuple(cameras), *_REFS[calibration.capture], body_T_board=calibration.body_T_board.a_T_b)
+    return Rig(
+        tuple(cameras),
+        *_REFS[calibration.capture],
+        body_T_board=calibration.body_T_board.a_T_b,
+        other_boards={board.name: board.body_T_board.a_T_b for board in calibration.other_boards},
+    )

@@ -1,7 +1,8 @@
 """NumPy's npz: every model as it is, so that nothing is lost.
 
 names (C,), models (C,), image_size_px (C, 2), theta_<name> (K,) in gtcal's order, camera_T_ref (C, 4, 4) in m where
-there are poses, body_T_board (4, 4) of a calibration, ref and notes. Pixels: integer coordinates are pixel centres.
+there are poses, body_T_board (4, 4) of a calibration, other_boards (B,) the names of those beside it and
+body_T_board_<name> (4, 4) of each, ref and notes. Pixels: integer coordinates are pixel centres.
 """
 
 from __future__ import annotations
@@ -36,9 +37,11 @@ def read_numpy(path: Path, options: ReadOptions) -> Rig:
     cameras = [_camera(document, *parts, options) for parts in zip(names, models, sizes, strict=True)]
     placed = [with_pose(camera, poses[i].rigid() if poses else None) for i, camera in enumerate(cameras)]
     board = document["body_T_board"].rigid() if "body_T_board" in document else None
+    others = document["other_boards"].entries() if "other_boards" in document else []
+    other_boards = {name.text(): document[f"body_T_board_{name.text()}"].rigid() for name in others}
     ref = document["ref"].entries() if "ref" in document else None
     ref_name, words = ("ref", "not known") if ref is None or len(ref) != 2 else (ref[0].text(), ref[1].text())
-    return Rig(tuple(placed), ref_name, words, "" if poses else "the file holds no camera_T_ref", board)
+    return Rig(tuple(placed), ref_name, words, "" if poses else "the file holds no camera_T_ref", board, other_boards)
 
 
 def write_numpy(rig: Rig, path: Path, notes: Sequence[str], nearest: bool) -> None:
@@ -48,6 +51,9 @@ def write_numpy(rig: Rig, path: Path, notes: Sequence[str], nearest: bool) -> No
         arrays["camera_T_ref"] = np.stack(list(rig.poses(TITLE).values()))
     if rig.body_T_board is not None:
         arrays["body_T_board"] = rig.body_T_board
+    if rig.other_boards:
+        arrays["other_boards"] = np.array(list(rig.other_boards))
+        arrays |= {f"body_T_board_{name}": pose for name, pose in rig.other_boards.items()}
     with write_aside(path, binary=True) as file:
         np.savez(
             file,

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
 
@@ -80,7 +80,7 @@ class Rig:
 
     ref: the frame's name, letters, digits and _ / . - only. ref_words: what it is.
     unposed: why no camera has a pose; empty where all have.
-    body_T_board: (4, 4) of a calibration.
+    body_T_board: (4, 4) of a calibration. other_boards: by name, the same of those beside it.
     Raises GtcalError where a camera's name can be none, two have the same, only some have a pose, or ref is no name of
     a frame."""
 
@@ -89,6 +89,7 @@ class Rig:
     ref_words: str
     unposed: str = ""
     body_T_board: FloatArray | None = None
+    other_boards: Mapping[str, FloatArray] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if not re.fullmatch(r"[A-Za-z0-9_/.-]+", self.ref):

@@ -68,7 +68,7 @@ def simulate(
             stands still. 'fixed_cameras': the board; the cameras stand still. By default what suits the rig.
         board: 'paper_a2', 'chessboard' or 'dots' (see 'gtcal board'), or a YAML file with a board block as in a
             recording's manifest.
-        boards: So many of them at once, each tracked, with tags of its own.
+        boards: So many of them at once, each tracked, with tags of its own; in images the nearer hides the farther.
         seed: Decides everything random.
         frames: Frames per camera, evenly spread over the duration.
         duration_s: Length of the recording.
@@ -137,12 +137,12 @@ def simulate(
     )
     check_outputs([output], [Path(board)] if is_there(Path(board)) else (), folders=True)
     if boards != 1:
-        if boards < 1 or images or lollypop or take != 1 or fault != "none" or mocap_format != "euroc_csv":
+        if boards < 1 or lollypop or take != 1 or fault != "none" or mocap_format != "euroc_csv":
             raise GtcalError(
-                "--boards: two or more are simulated as corners, as the first take and with mocap CSVs: leave "
-                "--images, --lollypop, --take, --fault and --mocap-format out"
+                "--boards: two or more are simulated as the first take and with mocap CSVs: leave --lollypop, --take, "
+                "--fault and --mocap-format out"
             )
-        _simulate_boards(options, boards, output, seed=seed, quiet=quiet)
+        _simulate_boards(options, boards, output, images=images, seed=seed, quiet=quiet)
         return
     sizes = fault_mm, fault_deg, fault_percent
     if lollypop:
@@ -164,15 +164,22 @@ def simulate(
         print(f"{manifest}: {frames} frames of {len(cameras.cameras)} cameras; the truth is in ground_truth.json")
 
 
-def _simulate_boards(options: SimulationOptions, boards: int, output: Path, *, seed: int, quiet: bool) -> None:
+def _simulate_boards(
+    options: SimulationOptions, boards: int, output: Path, *, images: bool, seed: int, quiet: bool
+) -> None:
+    from gtcal.cli.progress import shown_progress
     from gtcal.several_boards.recording import write_boards
-    from gtcal.simulation.several import boards_like, simulate_boards, write_truth_of_boards
+    from gtcal.simulation.several import boards_like, film_boards, simulate_boards, write_truth_of_boards
     from gtcal.simulation.writing import check_empty
 
     simulations = simulate_boards(options, boards_like(options.board, boards), seed=seed)
     check_empty(output)
+    recordings = {name: one.recording for name, one in simulations.items()}
+    if images:
+        with shown_progress(quiet) as progress:
+            recordings = film_boards(simulations, output / "images", progress)
     write_truth_of_boards(simulations, output)
-    manifest = write_boards({name: one.recording for name, one in simulations.items()}, output)
+    manifest = write_boards(recordings, output)
     if not quiet:
         print(f"{manifest}: {options.n_frames} frames of {boards} boards; the truth is in ground_truth.json")
 

@@ -146,7 +146,8 @@ def _tags(board: Board) -> tuple[str, set[int]] | None:
 
 def write_boards(recordings: Mapping[str, Recording], folder: Path | str) -> Path:
     """Write the recordings of several boards, which share cameras and platform, as one that ``load_boards`` reads:
-    corners and trajectories with every digit. The manifest, whose path is returned, comes last.
+    corners and trajectories with every digit, or of a camera without corners its images, which stay where they are. The
+    manifest, whose path is returned, comes last.
 
     Raises GtcalError where the folder can't be written."""
     folder = Path(folder)
@@ -163,14 +164,17 @@ def write_boards(recordings: Mapping[str, Recording], folder: Path | str) -> Pat
     shared = next(iter(recordings.values()))
     platform = None if shared.platform is None else body_entries(folder, {"platform": shared.platform})["platform"]
     cameras = {
-        name: camera_entry(camera, None, folder, None).model_dump(exclude_none=True)
+        name: camera_entry(camera, recording.images.get(name), folder, None).model_dump(exclude_none=True)
         for recording in recordings.values()
         for name, camera in recording.cameras.items()
+    }
+    of_cameras = {
+        name: SharedCameraEntry(**fields, detections=detections.get(name)) for name, fields in cameras.items()
     }
     manifest = BoardsManifest(
         gtcal_recording=1,
         boards=boards,
-        cameras={name: SharedCameraEntry(**fields, detections=detections[name]) for name, fields in cameras.items()},
+        cameras=of_cameras,
         platform=platform,
     )
     path = folder / MANIFEST_NAMES[0]

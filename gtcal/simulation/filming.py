@@ -29,22 +29,25 @@ from gtcal.simulation.rendering import (
     render_all,
     sub_exposures,
 )
+from gtcal.simulation.scene import Scene
 from gtcal.simulation.simulate import Simulation
 
 
 @dataclass(frozen=True)
 class Studio:
     """What all images of a simulation have in common. others: boards that are carried along with its own, each with
-    its place on that, board_T_other (4, 4): the other faces of a device."""
+    its place on that, board_T_other (4, 4): the other faces of a device. beside: simulations of the same rig at the
+    same times, whose boards are before the cameras too."""
 
     simulation: Simulation
     others: Sequence[tuple[Board, FloatArray]] = ()
+    beside: Sequence[Simulation] = ()
 
     @cached_property
-    def plates(self) -> tuple[tuple[Plate, FloatArray], ...]:
-        """With their places on the first."""
+    def plates(self) -> tuple[_Carried, ...]:
         boards = ((self.simulation.options.board, np.eye(4)), *self.others)
-        return tuple((plate_of(board), board_T_other) for board, board_T_other in boards)
+        own = [_Carried(self.simulation.scene, plate_of(board), place) for board, place in boards]
+        return (*own, *(_Carried(one.scene, plate_of(one.options.board), np.eye(4)) for one in self.beside))
 
     @cached_property
     def room(self) -> GreyPicture:
@@ -59,12 +62,10 @@ class Studio:
         options, scene = self.simulation.options.images, self.simulation.scene
         time_s = self.simulation.frame_times_s[frame]
         ends_s = time_s + options.exposure_s * np.array([-0.5, 0.5])
-        ends = scene.camera_T_board(camera_index, ends_s)
-        n = max(sub_exposures(lens.camera, plate, ends @ board_T_other) for plate, board_T_other in self.plates)
+        n = max(sub_exposures(lens.camera, one.plate, one.poses(camera_index, ends_s)) for one in self.plates)
         steps_s = options.exposure_s * ((np.arange(n) + 0.5) / n - 0.5)
         at_s = time_s + self._rows_after_s(lens, camera_index, time_s)[:, None] + steps_s
-        camera_T_board = scene.camera_T_board(camera_index, at_s.ravel()).reshape(*at_s.shape, 4, 4)
-        shown = [Shown(plate, camera_T_board @ board_T_other) for plate, board_T_other in self.plates]
+        shown = [Shown(one.plate, one.poses(camera_index, at_s)) for one in self.plates]
         camera_T_world = inverse(scene.world_T_camera(camera_index, np.array([time_s])))[0]
         noise = self.simulation.stream("sensor", camera_index, frame)
         return render_all(lens, shown, self.room, camera_T_world, options, noise)
@@ -78,20 +79,38 @@ class Studio:
             return np.zeros(1)
         height_px = camera.image_height_px
         ends_s = time_s + shutter.readout_s * shutter.readout_shares(np.array([0.0, height_px - 1.0]), height_px)
-        ends = self.simulation.scene.camera_T_board(camera_index, ends_s)
-        n = max(bands(camera, plate, ends @ board_T_other) for plate, board_T_other in self.plates)
+        n = max(bands(camera, one.plate, one.poses(camera_index, ends_s)) for one in self.plates)
         edges = band_edges(n, height_px)
         middles_px = 0.5 * (edges[:-1] + edges[1:] - 1.0).astype(np.float64)
         return np.asarray(shutter.readout_s * shutter.readout_shares(middles_px, height_px))
 
 
+@dataclass(frozen=True)
+class _Carried:
+    """A plate that moves with a scene's board, at a place on it, board_T_plate (4, 4)."""
+
+    scene: Scene
+    plate: Plate
+    board_T_plate: FloatArray
+
+    def poses(self, camera_index: int, at_s: FloatArray) -> FloatArray:
+        """(..., 4, 4) before a camera, at times (...)."""
+        camera_T_board = self.scene.camera_T_board(camera_index, at_s.ravel()).reshape(*at_s.shape, 4, 4)
+        return np.asarray(camera_T_board @ self.board_T_plate)
+
+
 def film(
-    simulation: Simulation, folder: Path, progress: Progress, *, others: Sequence[tuple[Board, FloatArray]] = ()
+    simulation: Simulation,
+    folder: Path,
+    progress: Progress,
+    *,
+    others: Sequence[tuple[Board, FloatArray]] = (),
+    beside: Sequence[Simulation] = (),
 ) -> dict[str, Images]:
-    """Render every frame of every camera into ``folder/<camera>/<stamp_ns>.png``. others: as of ``Studio``.
+    """Render every frame of every camera into ``folder/<camera>/<stamp_ns>.png``. others, beside: as of ``Studio``.
 
     Raises GtcalError where the folder can't be written."""
-    studio = Studio(simulation, others)
+    studio = Studio(simulation, others, beside)
     done, total = 0, len(simulation.options.rig.cameras) * len(simulation.frame_times_s)
     sequences: dict[str, Images] = {}
     with all_cores() as pool:

@@ -11,7 +11,10 @@ from gtcal.board import ArucoGrid, Board, aruco_dictionary
 from gtcal.documents import read_text
 from gtcal.errors import GtcalError
 from gtcal.files import write_text
+from gtcal.progress import Progress
 from gtcal.recordings.capture import Capture
+from gtcal.recordings.recording import Recording
+from gtcal.simulation.filming import film
 from gtcal.simulation.ground_truth import GROUND_TRUTH_NAME, write_ground_truth
 from gtcal.simulation.options import SimulationOptions
 from gtcal.simulation.simulate import Simulation, scene_of, seed_of_take, simulate, simulate_in
@@ -56,6 +59,14 @@ def simulate_boards(options: SimulationOptions, boards: Mapping[str, Board], *, 
         recording = replace(simulation.recording, cameras=first.recording.cameras, platform=first.recording.platform)
         found[name] = replace(simulation, recording=recording)
     return found
+
+
+def film_boards(simulations: Mapping[str, Simulation], folder: Path, progress: Progress) -> dict[str, Recording]:
+    """Render what each camera sees of all boards at once, into ``folder``: each board's recording with these images in
+    place of its corners. Raises GtcalError where the folder can't be written."""
+    first, *beside = simulations.values()
+    images = film(first, folder, progress, beside=beside)
+    return {name: replace(one.recording, detections={}, images=images) for name, one in simulations.items()}
 
 
 def write_truth_of_boards(simulations: Mapping[str, Simulation], folder: Path) -> None:
