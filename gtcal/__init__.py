@@ -6,7 +6,7 @@ calibration = gtcal.calibrate(recording)
 gtcal.write_calibration("calibration.json", calibration)
 verification = gtcal.verify(gtcal.load_lollypop_recording("my_lollypop"), calibration)
 
-Recordings      load_recording, Recording, write_recording, detected, board_from_manifest, PRESETS
+Recordings      load_recording, Recording, write_recording, detected, some_of, board_from_manifest, PRESETS
 Calibrate       calibrate, CalibrationOptions, calibrate_jointly, EarlierCalibration, Growth; step by step: synchronise,
                 calibrate_observations; on poses alone: calibrate_poses, PoseLevel
 Result          Calibration, read_calibration, write_calibration
@@ -48,6 +48,7 @@ if TYPE_CHECKING:
     from gtcal.recordings.recording import Recording as Recording
     from gtcal.recordings.recording import load_recording as load_recording
     from gtcal.recordings.recording import write_recording as write_recording
+    from gtcal.recordings.some_images import some_of as some_of
     from gtcal.results.calibration import Calibration as Calibration
     from gtcal.results.calibration_file import read_calibration as read_calibration
     from gtcal.results.calibration_file import write_calibration as write_calibration
@@ -97,6 +98,7 @@ _HOMES = {
     "CalibrationOptions": "estimation.options",
     "Recording": "recordings.recording",
     "load_recording": "recordings.recording",
+    "some_of": "recordings.some_images",
     "write_recording": "recordings.recording",
     "SelfCheck": "selfchecks.selfcheck",
     "selfcheck": "selfchecks.selfcheck",

@@ -70,6 +70,8 @@ def calibrate(
     max_iterations: int = 100,
     screen: bool = True,
     pnp_views: int = 100,
+    every: int = 1,
+    views: int | None = None,
     seed: int = 0,
     allow_degenerate: bool = False,
     json: bool = False,
@@ -146,6 +148,10 @@ def calibrate(
         max_iterations: Most iterations of one minimisation.
         screen: Leave out views and corners that grossly contradict the others.
         pnp_views: At most this many views per camera guide stages 1 and 2; stage 3 takes all.
+        every: Use every Nth image (or view, where corners are given), the same moments of cameras that are triggered
+            together: for long recordings, whose images take most of the time.
+        views: Use at most this many images of each camera, evenly spread over the recording. What all would gain is
+            told.
         seed: Of the random starting rotations of stage 1.
         allow_degenerate: Solve even where the motion cannot determine the result.
         json: Print the result as JSON in place of tables, as calibration.json holds it ('gtcal schema calibration').
@@ -161,6 +167,7 @@ def calibrate(
     from gtcal.files import check_outputs
     from gtcal.pose_recordings.recording import holds_poses
     from gtcal.recordings.recording import load_recording
+    from gtcal.recordings.some_images import some_of
     from gtcal.results.calibration_file import calibration_document, write_calibration
     from gtcal.several_boards.recording import holds_boards
     from gtcal.workflow import calibrate_jointly
@@ -190,15 +197,16 @@ def calibrate(
         seed=seed,
         allow_degenerate=allow_degenerate,
     )
+    part = {"every": None if every == 1 else every, "views": views}
+    asked = {"priors": priors, "from": from_, "more than one recording": more or None, **part}
     if holds_poses(recording):
-        asked = {"priors": priors, "from": from_, "more than one recording": more or None}
         _calibrate_poses(recording, options, output, report, asked, json=json, verbose=verbose, quiet=quiet)
         return
     if holds_boards(recording):
-        asked = {"priors": priors, "from": from_, "more than one recording": more or None}
         _calibrate_boards(recording, options, output, report, asked, json=json, verbose=verbose, quiet=quiet)
         return
-    loaded = [load_recording(path) for path in (recording, *more)]
+    whole = [load_recording(path) for path in (recording, *more)]
+    loaded = [some_of(one, every=every, views=views) for one in whole]
     earlier = None if from_ is None else _earlier(from_, from_parts, from_days, from_growth)
     read = [file for one in loaded for file in one.files] + [path for path in (priors, from_) if path is not None]
     check_outputs((output, report), read)
@@ -210,8 +218,23 @@ def calibrate(
     if json:
         print_json(calibration_document(calibration))
     elif not quiet:
-        print_calibration(calibration, notes=[note for one in loaded for note in one.notes], verbose=verbose)
+        notes = [*(note for one in loaded for note in one.notes), *_part_used(whole, loaded, calibration)]
+        print_calibration(calibration, notes=notes, verbose=verbose)
         print(f"written: {output}" + (f", {report}" if report is not None else ""))
+
+
+def _part_used(whole: list[Recording], used: list[Recording], calibration: Calibration) -> list[str]:
+    """What is to be said where a part of the images was used."""
+    n_all, n_used = (sum(one.n_images for one in recordings) for recordings in (whole, used))
+    if n_used == n_all:
+        return []
+    sigmas_mm = [camera.camera_T_ref.position_of_a_in_b_sigma_mm for camera in calibration.cameras.values()]
+    largest_mm = max((float(of_camera.max()) for of_camera in sigmas_mm if of_camera is not None), default=float("nan"))
+    of_all_mm = largest_mm * (n_used / n_all) ** 0.5
+    return [
+        f"used {n_used:,} of {n_all:,} images; all would lower the largest 1-sigma of a camera's place from "
+        f"{largest_mm:.2g} to about {of_all_mm:.2g} mm"
+    ]
 
 
 def _calibrate_poses(

@@ -101,6 +101,13 @@ class Recording:
         return RefMotion(self.capture, self.platform, self.board_body, self.max_gap_s, self.numbered)
 
     @property
+    def n_images(self) -> int:
+        """Of all cameras; of one without images its views."""
+        return sum(
+            len(self.images[name]) if name in self.images else self.detections[name].n_views for name in self.cameras
+        )
+
+    @property
     def notes(self) -> tuple[str, ...]:
         """What was done to read it, one sentence each, for the user to see."""
         return notes_of(self.images, self.motion.trajectories)
