@@ -145,8 +145,9 @@ _LARGEST_DAMPING = 1e9
 _MOST_LAST_STEPS, _LEAST_PROMISE, _ROUNDING = 4, 1e-16, 1e-12
 """A step that promises less than this share of the error is far below a millionth of a sigma."""
 
-_SURE_PROMISE = 1e-6
-"""A step that promises less than this share of the error is taken unseen: the error is a parabola there."""
+_SURE_PROMISE, _SURE_LENGTH = 1e-6, 1e-3
+"""A step that promises less than this share of the error, and moves no pose by more (rad, m), is taken unseen: the
+error is a parabola there."""
 
 
 @dataclass(frozen=True)
@@ -186,12 +187,19 @@ def minimise(
 
 @dataclass(frozen=True)
 class _Step:
-    """A Gauss-Newton step: where it leads, by how much it promises to lower the error, and the error before it as the
-    linearised graph has it (that of weighted squares, where a kernel is robust)."""
+    """A Gauss-Newton step: by how much it promises to lower the error, and the error before it as the linearised graph
+    has it (that of weighted squares, where a kernel is robust)."""
 
+    step: gtsam.VectorValues
     moved: gtsam.Values
     promised: float
     error: float
+
+    @property
+    def length(self) -> float:
+        """By how many rad or m it moves a pose of stages 2 and 3 at most."""
+        poses = [key for key in self.moved.keys() if chr(gtsam.Symbol(key).chr()) in "xy"]  # noqa: SIM118
+        return max(float(np.abs(self.step.at(key)).max()) for key in poses)
 
 
 def _gauss_newton_step(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> _Step | None:
@@ -202,13 +210,15 @@ def _gauss_newton_step(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) 
     except RuntimeError:
         return None
     promised = -0.5 * linear.gradientAtZero().dot(step)
-    return _Step(values.retract(step), promised, linear.error(gtsam.VectorValues.Zero(step)))
+    return _Step(step, values.retract(step), promised, linear.error(gtsam.VectorValues.Zero(step)))
 
 
 def optimum_nearby(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> gtsam.Values | None:
     """The optimum, where values are so near to it that one step leads there; None elsewhere."""
     step = _gauss_newton_step(graph, values)
-    return step.moved if step is not None and step.promised <= _SURE_PROMISE * step.error else None
+    if step is None or not step.promised <= _SURE_PROMISE * step.error or not step.length <= _SURE_LENGTH:
+        return None
+    return step.moved
 
 
 def finished(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, error: float) -> tuple[gtsam.Values, float]:
@@ -221,8 +231,7 @@ def finished(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, error: flo
             break
         if step.promised <= _LEAST_PROMISE * error:
             break  # where the graph was linearised: its covariance is there
-        sure = step.promised <= _SURE_PROMISE * error
-        moved_error = error - step.promised if sure else graph.error(step.moved)
+        moved_error = graph.error(step.moved)
         if not moved_error <= error * (1.0 + _ROUNDING):
             break
         values, error = step.moved, min(moved_error, error)
