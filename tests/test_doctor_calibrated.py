@@ -82,6 +82,33 @@ def test_poses_that_are_wrong_in_another_way_are_no_mistaken_body() -> None:
     assert turned_views(observations, calibration.estimate, calibration.solution.views) is None
 
 
+def test_poses_that_are_wrong_at_one_moment_are_no_mistaken_body() -> None:
+    simulation = simulated()
+    recording = simulation.recording
+    turn = np.eye(4)
+    turn[:3, :3] = Rotation.from_rotvec([0.0, 0.0, np.pi]).as_matrix()
+    seen = np.concatenate([views.stamps_ns for views in synchronise(recording).views.values()])
+    stamps_ns, counts = np.unique(seen, return_counts=True)
+    moment_ns = int(stamps_ns[counts.argmax()])
+    assert counts.max() >= 3  # cameras, which all see it turned
+
+    assert recording.board_body is not None
+    near = np.abs(recording.board_body.stamps_ns - moment_ns) < 50_000_000
+
+    def change(world_T_body: np.ndarray) -> np.ndarray:
+        return np.where(near[:, None, None], world_T_body @ turn, world_T_body)
+
+    spoilt = poses(recording, ["board_body"], change)
+    calibration = calibrate(spoilt, PLAIN)
+    assert calibration.solution is not None
+    observations = synchronise(spoilt)
+    left_out = sum(views.n_views for views in observations.views.values()) - sum(
+        views.n_views for views in calibration.solution.views.values()
+    )
+    assert left_out >= 3
+    assert turned_views(observations, calibration.estimate, calibration.solution.views) is None
+
+
 def test_calibrate_warns_of_a_mistaken_body_and_the_doctor_explains_it() -> None:
     recording = mistaken(simulated().recording, "board_body", [1.0, 0.0, 0.0], 180.0)
     assert any("turned by 180 deg about its axis" in line for line in calibrate(recording).warnings)

@@ -28,8 +28,9 @@ TURNS_DEG = (60.0, 72.0, 90.0, 120.0, 144.0, 180.0)
 SAME_DEG = 3.0
 """By how much turns may differ that are the same one."""
 
-FEWEST_VIEWS, LEAST_SHARE = 3, 0.5
-"""So many views, and such a share of those left out, are off by one turn: no accident."""
+FEWEST_MOMENTS, LEAST_SHARE = 3, 0.5
+"""At so many moments views, and such a share of those left out, are off by one turn: no accident. At one moment all
+cameras' views are off by one turn, whatever went wrong."""
 
 _MOST_VIEWS = 100
 _MOST_MOMENTS = 6
@@ -76,7 +77,7 @@ def turned_views(observations: Observations, estimate: Estimate, used: Mapping[s
     """The body of which most views that are not ``used`` are off by one turn; None where they scatter, or are few."""
     left_out = {name: _left_out(views, used[name]) for name, views in observations.views.items()}
     left_out = {name: views for name, views in left_out.items() if views.n_views}
-    if sum(views.n_views for views in left_out.values()) < FEWEST_VIEWS:
+    if sum(views.n_views for views in left_out.values()) < FEWEST_MOMENTS:
         return None
     stamps_ns, offs = _body_offs(left_out, estimate)
     found = [
@@ -85,10 +86,11 @@ def turned_views(observations: Observations, estimate: Estimate, used: Mapping[s
     body, turn, agree = max(found, key=lambda one: int(one[2].sum()))
     angle_deg = float(np.rad2deg(turn.magnitude()))
     nearest_deg = min(TURNS_DEG, key=lambda known: abs(known - angle_deg))
-    if agree.sum() < max(FEWEST_VIEWS, LEAST_SHARE * len(agree)) or abs(nearest_deg - angle_deg) > SAME_DEG:
-        return None
     names = np.repeat(list(stamps_ns), [len(of_camera) for of_camera in stamps_ns.values()])
     all_ns = np.concatenate(list(stamps_ns.values()))
+    few = len(np.unique(all_ns[agree])) < FEWEST_MOMENTS or agree.mean() < LEAST_SHARE
+    if few or abs(nearest_deg - angle_deg) > SAME_DEG:
+        return None
     return TurnedViews(
         body=body,
         turn_deg=nearest_deg,
