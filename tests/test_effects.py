@@ -195,7 +195,7 @@ def test_a_bumped_camera_has_a_pose_before_and_one_after() -> None:
     for name, camera in found.cameras.items():
         mm, deg = pose_difference(inverse(camera.camera_T_ref.a_T_b), inverse(true_camera_T_ref[name]))
         assert mm < 0.2, name
-        assert deg < 0.02, name
+        assert deg < 0.03, name  # 1-sigma of each axis: 0.017 deg
     assert before.camera_T_ref["front_left"].a_T_b == pytest.approx(after.camera_T_ref["front_left"].a_T_b)
 
 

@@ -24,6 +24,7 @@ from gtcal.estimation.mocap_noise import (
     gross_frames,
     innovations,
     lower_factors,
+    shared_step,
     spread_blocks,
 )
 from gtcal.estimation.observations import Observations, Views, synchronise
@@ -144,6 +145,24 @@ def test_innovations_of_the_wrong_model_give_it_away() -> None:
     assert Whiteness.of(innovations(frames, white, motion)).lag_1 > 0.5
     small = MocapNoiseModel(dict.fromkeys(motion.trajectories, MocapSigmas(0.1, 0.01)))
     assert Whiteness.of(innovations(frames, small, motion)).variance > 2.0
+
+
+def test_no_frame_of_a_few_is_gross_because_the_estimate_is_off() -> None:
+    """An estimate that took the mocap as exact is itself off by more than a frame's noise where frames are few."""
+    left_out = 0
+    for seed in range(6):
+        simulation = simulate(SimulationOptions(n_frames=14, duration_s=60.0, mocap=TRUE), seed=seed)
+        options = CalibrationOptions()
+        observations = synchronise(simulation.recording)
+        views, estimate = at_stage_3(observations, options)
+        frames = frame_moments(views, estimate, sigma_px=0.1, free_theta=True, free_shape=True)
+        information = prior_information(views, estimate, options)
+        noise = MocapNoiseModel({name: MocapSigmas(0.2, 0.02) for name in observations.motion.trajectories})
+        covariance = noise.covariance(observations.motion, frames.stamps_ns)
+        step = shared_step(frames, noise, observations.motion, information)
+        left_out += int(gross_frames(frames, covariance, step=step).sum())
+        assert gross_frames(frames, covariance).sum() >= gross_frames(frames, covariance, step=step).sum()
+    assert left_out == 0
 
 
 def test_gross_frames_are_told_from_noise_and_do_not_sway_it() -> None:

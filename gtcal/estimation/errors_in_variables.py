@@ -38,11 +38,13 @@ from gtcal.estimation.graph import (
 from gtcal.estimation.hold_out import HoldOut, hold_out
 from gtcal.estimation.mocap_noise import (
     MocapNoiseModel,
+    SharedStep,
     Whiteness,
     estimate_noise,
     gross_frames,
     innovations,
     lower_factors,
+    shared_step,
     spread_blocks,
 )
 from gtcal.estimation.observations import Dropped, Views
@@ -122,7 +124,7 @@ def fit_mocap_noise(
         if found is None:
             return None
         noise = found
-    gross = _gross_views(adjusted, noise, motion, options, sample.sigma_px)
+    gross = _gross_views(adjusted, noise, motion, options, sample, information)
     if gross and not options.screen:
         return None
     gross_share = float(np.mean(np.concatenate(list(gross.values())))) if gross else 0.0
@@ -158,23 +160,40 @@ def moments_of(
 
 
 def _gross_views(
-    adjusted: Adjusted, noise: MocapNoiseModel, motion: RefMotion, options: CalibrationOptions, sigma_px: float
+    adjusted: Adjusted,
+    noise: MocapNoiseModel,
+    motion: RefMotion,
+    options: CalibrationOptions,
+    sample: FrameMoments,
+    information: FloatArray,
 ) -> dict[str, BoolArray]:
     """By camera, the views of frames that the noise does not explain; empty where there are none."""
+    step = _step(sample, noise, motion, information)
     views = adjusted.screened.views
     frames = frames_of(views)
     parts = in_parts(
         views,
         adjusted.estimate,
         frames,
-        sigma_px=sigma_px,
+        sigma_px=sample.sigma_px,
         free_theta=options.refine_intrinsics,
         free_shape=options.solves_board_shape,
     )
-    gross = np.concatenate([gross_frames(part, noise.covariance(motion, part.stamps_ns)) for part in parts])
+    gross = np.concatenate([gross_frames(part, noise.covariance(motion, part.stamps_ns), step=step) for part in parts])
     if not gross.any():
         return {}
     return {name: np.isin(of_camera.frame_index, frames[gross]) for name, of_camera in views.items()}
+
+
+def _step(
+    sample: FrameMoments, noise: MocapNoiseModel, motion: RefMotion, information: FloatArray
+) -> SharedStep | None:
+    """What the frames ask for that are not gross beyond doubt; None where these leave an unknown open."""
+    doubtful = gross_frames(sample, noise.covariance(motion, sample.stamps_ns), _BEYOND_DOUBT)
+    try:
+        return shared_step(sample.take(np.flatnonzero(~doubtful)), noise, motion, information)
+    except np.linalg.LinAlgError:
+        return None
 
 
 def _without(adjusted: Adjusted, gross: Mapping[str, BoolArray]) -> tuple[Adjusted, tuple[Dropped, ...]]:
@@ -192,6 +211,7 @@ def _without(adjusted: Adjusted, gross: Mapping[str, BoolArray]) -> tuple[Adjust
     return replace(adjusted, screened=screened), dropped
 
 
+_BEYOND_DOUBT = 10.0  # times the noise's covariance
 _MOST_GROSS = 0.5  # of a camera's views: half of them stay, as in ``screen``
 GROSS = "mocap pose is an outlier, far beyond its noise"
 

@@ -21,6 +21,7 @@ from scipy.optimize import minimize
 from factors.rigid import adjoint, inverse
 from gtcal.camera import BoolArray, FloatArray
 from gtcal.estimation.frame_statistics import SMALLEST_CORRELATION, FrameMoments, regular, subtract_noise
+from gtcal.estimation.linear import scaled_inverse
 from gtcal.estimation.options import MocapSigmas
 from gtcal.recordings.capture import RefMotion
 from gtcal.recordings.detections import IntArray
@@ -177,7 +178,10 @@ def _estimated(frames: FrameMoments, motion: RefMotion, information: FloatArray)
     sigmas = problem.first_guess
     gross = np.zeros(len(frames.frame_index), dtype=bool)
     for allowance in (10.0, 1.0):
-        now = gross_frames(frames, problem.covariance(sigmas), allowance)
+        step = None
+        if allowance == 1.0:
+            step = shared_step(frames.take(np.flatnonzero(~gross)), problem.noise(sigmas), motion, information)
+        now = gross_frames(frames, problem.covariance(sigmas), allowance, step)
         if allowance == 1.0 and (now == gross).all():
             break
         gross = now
@@ -226,12 +230,41 @@ class Whiteness:
         )
 
 
-def gross_frames(frames: FrameMoments, covariance: FloatArray, allowance: float = 1.0) -> BoolArray:
+@dataclass(frozen=True)
+class SharedStep:
+    """By how much the unknowns that all frames share move once the mocap's noise is modelled: mean (P,), covariance
+    (P, P)."""
+
+    mean: FloatArray
+    covariance: FloatArray
+
+
+def shared_step(frames: FrameMoments, noise: MocapNoiseModel, motion: RefMotion, information: FloatArray) -> SharedStep:
+    """Of these frames and what else is known (P + 1, P + 1). Raises numpy.linalg.LinAlgError where both leave an
+    unknown open."""
+    total = information + frames.exact.sum(axis=0)
+    L = lower_factors(noise.covariance(motion, frames.stamps_ns))
+    subtract_noise(frames.moments, L, noise.correlations(frames.stamps_ns), total)
+    if not (np.diag(total)[:-1] > 0.0).all():
+        raise np.linalg.LinAlgError("an unknown is open")
+    covariance = scaled_inverse(np.triu(total[:-1, :-1]) + np.triu(total[:-1, :-1], 1).T)
+    return SharedStep(-covariance @ total[:-1, -1], covariance)
+
+
+def gross_frames(
+    frames: FrameMoments, covariance: FloatArray, allowance: float = 1.0, step: SharedStep | None = None
+) -> BoolArray:
     """(n,) the frames whose mocap pose is off by more than noise of this covariance (n, 6, 6), with pixel noise,
-    explains; ``allowance`` multiplies the covariance."""
+    explains; ``allowance`` multiplies the covariance. Off from where the chain puts it: after ``step``, whose own
+    uncertainty is allowed for, since of few frames an estimate that took the mocap as exact is off itself."""
     pose, gradient = regular(frames.moments[:, :6, :6]), frames.moments[:, :6, -1:]
-    offset = np.linalg.solve(pose, gradient)
     scatter = np.linalg.inv(pose) + allowance * covariance
+    if step is not None:
+        across = frames.moments[:, :6, 6:-1]
+        gradient = gradient + across @ step.mean[:, None]
+        moved = np.linalg.solve(pose, across)
+        scatter = scatter + moved @ step.covariance @ np.swapaxes(moved, 1, 2)
+    offset = np.linalg.solve(pose, gradient)
     distance2 = np.einsum("nik,nik->n", offset, np.linalg.solve(scatter, offset))
     return distance2 > special.chdtri(6, GROSS_PROBABILITY)
 
