@@ -166,7 +166,11 @@ def test_a_missing_file_is_named(tmp_path: Path) -> None:
 def test_a_truncated_file_is_no_json(path: Path, share: float) -> None:
     text = path.read_text(encoding="utf-8")
     path.write_text(text[: int(share * len(text))], encoding="utf-8")
-    assert "is not valid JSON" in refused(path)
+    assert "is no calibration of gtcal, it is not valid JSON" in refused(path)
+
+
+def test_a_folder_is_no_calibration(tmp_path: Path) -> None:
+    assert "is a folder; expected a calibration of gtcal, a JSON file" in refused(tmp_path)
 
 
 @pytest.mark.parametrize("content", [b"[1, 2]", b"{}", b'"text"', b"3", b'{"gtcal_calibration": "1"}'])

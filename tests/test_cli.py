@@ -94,7 +94,10 @@ def test_version_is_that_of_the_package() -> None:
     ("arguments", "said"),
     [
         ([], "usage: gtcal COMMAND"),
-        (["calibrat"], "'calibrat' is no command; commands: demo, board, init, info, calibrate"),
+        (
+            ["calibrat"],
+            "'calibrat' is no command; did you mean 'calibrate'?; commands: demo, board, ",
+        ),
         (["calibrate"], "RECORDING"),
         (["calibrate", "recording", "--kernel", "Foo"], "Foo"),
         (["calibrate", "recording", "--eps", "small"], "small"),

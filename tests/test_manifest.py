@@ -258,3 +258,15 @@ def test_the_schema_asks_for_a_lens_or_its_file() -> None:
     assert schema["CameraEntry"]["anyOf"] == [{"required": ["model", "image_size_px"]}, {"required": ["intrinsics"]}]
     assert "kalibr" in schema["IntrinsicsEntry"]["properties"]["format"]["enum"]
     assert all("description" in field for field in schema["IntrinsicsEntry"]["properties"].values())
+
+
+def test_a_field_that_is_written_as_messages_name_it(tmp_path: Path) -> None:
+    (tmp_path / "m.yaml").write_text(yaml.safe_dump({**valid(), "platform.stamp_offset_ns": 5}))
+    with pytest.raises(GtcalError, match=r"write 'stamp_offset_ns' as a field within 'platform'"):
+        read_manifest(tmp_path / "m.yaml")
+
+
+def test_a_result_is_no_manifest(tmp_path: Path) -> None:
+    (tmp_path / "cal.json").write_text('{"gtcal_calibration": 5, "cameras": {}}')
+    with pytest.raises(GtcalError, match=r"cal\.json: is a calibration of gtcal, not the manifest of a recording"):
+        read_manifest(tmp_path / "cal.json")

@@ -50,3 +50,15 @@ def test_a_pipe_has_no_width(monkeypatch: pytest.MonkeyPatch) -> None:
     wide = Terminal(file=StringIO())
     wide.print("a warning " * 60)
     assert wide.file.getvalue().count("\n") == 1  # type: ignore[attr-defined]
+
+
+def test_a_caption_is_not_squeezed_under_a_narrow_part() -> None:
+    made = table()
+    made.caption = "what the numbers above mean, in words that take more than one line of a narrow terminal"
+    for width in (45, 60, 200):
+        terminal = Terminal(file=StringIO(), width=width, force_terminal=True)
+        terminal.print(made)
+        lines = Text.from_ansi(terminal.file.getvalue()).plain.splitlines()  # type: ignore[attr-defined]
+        first = next(line for line in lines if line.startswith("what the numbers"))
+        assert 30 < len(first) <= width
+        assert lines[-1].strip() == ""

@@ -86,7 +86,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"gtcal {version('gtcal')}")
         return 0
     if given[0] not in COMMANDS:
-        print(f"gtcal: {given[0]!r} is no command; commands: {', '.join(COMMANDS)}", file=sys.stderr)
+        from difflib import get_close_matches
+
+        near = "".join(f"; did you mean {name!r}?" for name in get_close_matches(given[0], COMMANDS, n=1))
+        print(f"gtcal: {given[0]!r} is no command{near}; commands: {', '.join(COMMANDS)}", file=sys.stderr)
         return EXIT_USAGE
     return _run(given[0], given[1:])
 

@@ -8,9 +8,13 @@ from typing import Any
 from rich import box
 from rich.console import Console, ConsoleOptions, RenderResult
 from rich.table import Column, Table
+from rich.text import Text
 
 _LEAST_TEXT = 24
 """Text wraps, but is left this wide."""
+
+_LEAST_CAPTION = 72
+"""Words below a narrow table may go beyond it."""
 
 _PADDING, _EDGES = 2, 2
 
@@ -25,16 +29,18 @@ class FoldedTable(Table):
         super().__init__(title=title, caption=caption, **{**style, **left, **options})
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
-        parts = list(self._parts(console, options.max_width))
-        if len(parts) == 1:
-            yield from super().__rich_console__(console, options)
-            return
-        for index, columns in enumerate(parts):
+        widest = 0
+        for index, columns in enumerate(self._parts(console, options.max_width)):
             part = FoldedTable(padding=self.padding)
             part.title = self.title if index == 0 else None
-            part.caption = self.caption if columns is parts[-1] else None
             part.columns, part.rows = _copied(columns), self.rows
+            widest = max(widest, console.measure(part, options=options).maximum)
             yield from Table.__rich_console__(part, console, options)
+        if self.caption:
+            width = min(max(widest, _LEAST_CAPTION), options.max_width)
+            caption = console.render_str(str(self.caption), style=self.caption_style or "table.caption")
+            yield from console.render(caption, options.update(width=width, no_wrap=False, overflow="fold"))
+            yield Text()
 
     def _parts(self, console: Console, width: int) -> Iterator[list[Column]]:
         """The columns that stand side by side, the names first each time."""

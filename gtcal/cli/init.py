@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
+
+if TYPE_CHECKING:
+    from gtcal.overview.draft import Draft
 
 
 def init(
@@ -32,6 +36,7 @@ def init(
         quiet: Print nothing.
     """
     from gtcal.cli.json_output import print_json
+    from gtcal.cli.progress import shown_progress
     from gtcal.documents import read_text
     from gtcal.errors import GtcalError
     from gtcal.files import check_outputs, write_text
@@ -47,25 +52,43 @@ def init(
     if manifest.is_file() and not named and "gtcal_recording" not in read_text(manifest):
         raise GtcalError(f"{manifest}: is no manifest, which is all that --force replaces; give another file with -o")
     found = survey(folder)
-    drafted = draft(found, manifest)
+    with shown_progress(quiet) as progress:
+        drafted = draft(found, manifest, progress)
     write_text(manifest, drafted.text)
     if json:
         left = list(found.left)
         print_json(
-            {"gtcal_draft": 1, "manifest": str(manifest), "questions": list(drafted.questions), "left_aside": left}
+            {
+                "gtcal_draft": 1,
+                "manifest": str(manifest),
+                "questions": list(drafted.questions),
+                "warnings": list(drafted.warnings),
+                "left_aside": left,
+            }
         )
     elif not quiet:
-        _print(manifest, drafted.questions, found.left)
+        _print(manifest, drafted, found.left)
 
 
-def _print(manifest: Path, questions: tuple[str, ...], left: tuple[str, ...]) -> None:
+def _print(manifest: Path, drafted: Draft, left: tuple[str, ...]) -> None:
     from gtcal.cli.terminal import Terminal
 
     console = Terminal(highlight=False, soft_wrap=True)
     for line in left:
         console.print(f"left aside: {line}", style="yellow")
+    for line in drafted.warnings:
+        console.print(f"warning: {line}", style="yellow")
     console.print(f"written: {manifest}")
-    if questions:
-        console.print(f"to be answered there, {len(questions)}:")
-    for question in questions:
-        console.print(f"  {question}")
+    if drafted.questions:
+        console.print(f"to be answered there, {len(drafted.questions)}:")
+    for question, fields in _fields_by_question(drafted.questions).items():
+        console.print(f"  {', '.join(fields)}: {question}")
+
+
+def _fields_by_question(questions: Iterable[str]) -> dict[str, list[str]]:
+    """What is asked of several cameras alike is asked once."""
+    fields: dict[str, list[str]] = {}
+    for line in questions:
+        field, _, question = line.partition(": ")
+        fields.setdefault(question, []).append(field)
+    return fields

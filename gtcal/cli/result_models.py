@@ -474,6 +474,7 @@ class Draft(Entry):
     gtcal_draft: Literal[1]
     manifest: str = Field(description="The file that was written.")
     questions: list[str] = Field(description="To be answered in it before it loads.")
+    warnings: list[str] = Field(description="What doesn't fit together: clocks that have no time in common.")
     left_aside: list[str]
 
 

@@ -116,9 +116,9 @@ def lens_tables(calibration: Calibration, *, verbose: bool = False) -> list[Tabl
         return []
     table = new_table(
         "intrinsics that were solved for",
-        caption="moved: from what was known beforehand, by the group of intrinsics that moved most (f focal length, "
-        "c principal point, d distortion), in sigmas of that; px, mm: the most that a pixel of the image and the "
-        "camera moved by one group",
+        caption="moved: from what was stated, or found first where nothing was, by the group of intrinsics that moved "
+        "most (f focal length, c principal point, d distortion), in sigmas of what was known; px, mm: the most that a "
+        "pixel of the image and the camera moved by one group",
     )
     for heading in ("fx", "fy", "± px", "cx", "cy", "± px", "moved", "px", "mm"):
         table.add_column(heading, justify="right")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 from rich.console import Group, RenderableType
@@ -156,6 +157,8 @@ def _trends(found: Drift) -> list[Text]:
         for trend in found.trends
         if trend.significant
     ]
+    if not any(math.isfinite(trend.slope_per_recording) for trend in found.trends):
+        return [Text("Too few recordings to tell a trend.")]
     return lines or [Text("No trend that chance doesn't explain.")]
 
 

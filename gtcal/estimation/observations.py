@@ -135,9 +135,9 @@ def _time_base_hint(camera_ns: IntArray, body: str, body_ns: IntArray) -> str:
         relation = "larger" if power > 0 else "smaller"
         return f"; the camera's are about {_TIME_UNITS[nearest]} times {relation}: check {body}.time_unit"
     return (
-        "; are they from two recordings, or from clocks that start at different times? Of one recording, "
-        f"{body}.stamp_offset_ns: {int(camera_ns[0]) - int(body_ns[0])} would have both start together; 'gtcal doctor' "
-        "finds the offset of a calibration's"
+        "; are they from two recordings, or from clocks that start at different times? If it is one recording: "
+        f"{int(camera_ns[0]) - int(body_ns[0])} ns more in {body}.stamp_offset_ns would have both start together; "
+        "'gtcal doctor' finds the offset of a calibration's"
     )
 
 

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import re
 import textwrap
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -18,9 +19,10 @@ from gtcal.detection.plain_guess import PlainGuess, guess_plain_board
 from gtcal.errors import GtcalError
 from gtcal.overview.mocap_files import MocapBody
 from gtcal.overview.survey import FoundBoard, FoundCamera, Survey
+from gtcal.progress import Progress, silent
 from gtcal.readers import pose_list
 from gtcal.recordings.capture import Capture
-from gtcal.recordings.images import relative
+from gtcal.recordings.images import Images, relative
 from gtcal.recordings.open_questions import OPEN
 from gtcal.verification.lollypop import DEVICE_PRESETS, Lollypop
 
@@ -52,13 +54,14 @@ _MODELS = (
 
 @dataclass(frozen=True)
 class Draft:
-    """text: the manifest. questions: what is open in it, as 'field: question'."""
+    """text: the manifest. questions: what is open in it, as 'field: question'. warnings: what doesn't fit together."""
 
     text: str
     questions: tuple[str, ...]
+    warnings: tuple[str, ...] = ()
 
 
-def draft(found: Survey, manifest: Path) -> Draft:
+def draft(found: Survey, manifest: Path, progress: Progress = silent) -> Draft:
     """The draft of ``manifest`` for what was found. The paths in it are relative to its folder.
 
     Raises GtcalError where an image can't be read."""
@@ -74,7 +77,7 @@ def draft(found: Survey, manifest: Path) -> Draft:
         lines.put("numbered", True)
     else:
         found = _without_lists(found)
-    shown = _shown(found)
+    shown = _shown(found, progress)
     roles = _roles(found.bodies, shown)
     lines.blank()
     _write_capture(lines, roles, found.bodies, shown)
@@ -86,8 +89,9 @@ def draft(found: Survey, manifest: Path) -> Draft:
     lines.blank()
     _write_cameras(lines, found, shown, numbered)
     _write_bodies(lines, roles, found.bodies, shown)
-    _write_left(lines, found)
-    return Draft("\n".join(lines.text) + "\n", tuple(lines.questions))
+    warnings = tuple(_times_apart(found))
+    _write_left(lines, warnings, found.left)
+    return Draft("\n".join(lines.text) + "\n", tuple(lines.questions), warnings)
 
 
 def _is_numbered(found: Survey) -> bool:
@@ -167,23 +171,26 @@ class _Shown:
         return _CAPTURES if self.lone_tag is None else _LOLLYPOP_CAPTURES
 
 
-def _shown(found: Survey) -> _Shown:
+def _shown(found: Survey, progress: Progress) -> _Shown:
     """Of the first camera that shows a board; where none does and no file describes one, that shows a board without
     tags, one whose tags are hard to read, or a tag alone."""
-    images = [camera.images for camera in found.cameras if camera.images is not None]
-    board = _first(map(guess_board, images))
+    cameras = [camera.images for camera in found.cameras if camera.images is not None]
+
+    def first(what: str, guess: Callable[[Images], _T | None]) -> _T | None:
+        for done, images in enumerate(cameras):
+            progress(f"looking for {what}", done, len(cameras))
+            if (guessed := guess(images)) is not None:
+                return guessed
+        return None
+
+    board = first("tags", guess_board)
     if board is not None or any(_is_valid(one) for one in found.boards):
         return _Shown(board)
-    plain = None if found.boards else _first(map(guess_plain_board, images))
+    plain = None if found.boards else first("squares and dots", guess_plain_board)
     if plain is not None:
         return _Shown(plain=plain)
-    board = _first(guess_board(of_camera, thorough=True) for of_camera in images)
-    return _Shown(board) if board is not None else _Shown(lone_tag=_first(map(guess_lone_tag, images)))
-
-
-def _first(found: Iterable[_T | None]) -> _T | None:
-    """The first that is there."""
-    return next((one for one in found if one is not None), None)
+    board = first("tags that are hard to read", partial(guess_board, thorough=True))
+    return _Shown(board) if board is not None else _Shown(lone_tag=first("a tag alone", guess_lone_tag))
 
 
 _T = TypeVar("_T")
@@ -465,9 +472,9 @@ def _seconds(body: MocapBody) -> str:
     return "" if body.span_ns is None else f" over {(body.span_ns[1] - body.span_ns[0]) * 1e-9:.1f} s"
 
 
-def _write_left(lines: _Lines, found: Survey) -> None:
+def _write_left(lines: _Lines, warnings: tuple[str, ...], left: tuple[str, ...]) -> None:
     """What doesn't fit together, and what was left aside."""
-    notes = [*_times_apart(found), *(f"Left aside: {line}" for line in found.left)]
+    notes = [*(f"WARNING: {line}" for line in warnings), *(f"Left aside: {line}" for line in left)]
     if notes:
         lines.blank()
     for note in notes:
@@ -489,8 +496,9 @@ def _times_apart(found: Survey) -> Iterable[str]:
             cameras = apart.setdefault(", ".join(bodies), [])
             cameras.append(camera.name if cameras else f"{camera.name} ({first} to {last} ns)")
     for bodies_named, (one, *others) in apart.items():
-        nor = f", nor have {', '.join(others)}" if others else ""
+        too = f" ({', '.join(others)} too)" if others else ""
         yield (
-            f"WARNING: {one} has no time in common with {bodies_named}{nor}: another clock? 'stamp_offset_ns' under "
-            "each of these bodies is what is to be added to its stamps."
+            f"{one} has no time in common with {bodies_named}{too}: another clock? 'stamp_offset_ns' under "
+            "each of these bodies is what is to be added to its stamps; 'gtcal doctor' finds it, once all else is "
+            "answered."
         )

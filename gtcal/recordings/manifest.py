@@ -444,6 +444,10 @@ def validated(path: Path, data: dict[str, Any], kind: type[M]) -> M:
     try:
         return kind.model_validate(data)
     except ValidationError as error:
+        of_gtcal = [name.removeprefix("gtcal_") for name in data if name.startswith("gtcal_")]
+        if "gtcal_recording" in kind.model_fields and of_gtcal and "recording" not in of_gtcal:
+            what = of_gtcal[0].replace("_", " ")
+            raise GtcalError(f"{path}: is a {what} of gtcal, not the manifest of a recording") from None
         raise GtcalError(f"{path}: {_explain(error, kind)}") from None
 
 
@@ -528,6 +532,9 @@ def _message(error: ErrorDetails, manifest: type[Entry]) -> str:
     kind, given = error["type"], error["input"]
     if kind == "extra_forbidden":
         names = list(_entry_at(error["loc"], manifest).model_fields)
+        within, dot, field = str(error["loc"][-1]).rpartition(".")
+        if dot and within.split(".")[0] in names:  # as messages name them
+            return f"is not a field: write '{field}' as a field within '{within}'"
         return f"is not a field{did_you_mean(str(error['loc'][-1]), names)}; fields: {', '.join(names)}"
     if kind == "missing":
         described = _entry_at(error["loc"], manifest).model_fields[str(error["loc"][-1])].description

@@ -54,7 +54,7 @@ def shape_picture(calibration: Calibration) -> Picture | None:
 
 def shape_lines(found: BoardShape) -> tuple[str, ...]:
     """A number each, with its 1-sigma."""
-    return tuple(f"{part.what} {part.value:+.2f} ± {part.sigma:.2f} {part.unit}" for part in found.parts)
+    return tuple(f"{part.what} {part.value:+.3f} ± {part.sigma:.3f} {part.unit}" for part in found.parts)
 
 
 def effect_picture(finding: EffectFinding) -> Picture:

@@ -18,7 +18,9 @@ def read_result(path: Path, kind: str, schema_version: int, parse: Callable[[dic
 
     Raises GtcalError for a file that is missing, no JSON, of a newer schema, or where ``parse`` misses a field or finds
     one of the wrong form."""
-    document = _read_json(path)
+    if path.is_dir():
+        raise GtcalError(f"{path}: is a folder; expected a {kind} of gtcal, a JSON file")
+    document = _read_json(path, kind)
     check_extent(path, document)
     version = document.get(f"gtcal_{kind}") if isinstance(document, dict) else None
     if not isinstance(version, int):
@@ -35,11 +37,11 @@ def read_result(path: Path, kind: str, schema_version: int, parse: Callable[[dic
         raise GtcalError(f"{path}: a field has the wrong form: {error}") from error
 
 
-def _read_json(path: Path) -> Any:
+def _read_json(path: Path, kind: str) -> Any:
     try:
         return json.loads(read_text(path), parse_constant=_refuse)
     except (ValueError, RecursionError) as error:
-        raise GtcalError(f"{path}: is not valid JSON: {error}") from error
+        raise GtcalError(f"{path}: is no {kind} of gtcal, it is not valid JSON: {error}") from error
 
 
 def _refuse(constant: str) -> None:
