@@ -105,7 +105,7 @@ def test_what_is_no_recording_ends_with_a_line(tmp_path: Path) -> None:
     told = {
         "absent": "there is no such recording",
         "images": "there is no manifest in this folder",
-        "calibration.json": "gtcal_calibration: is not a field",
+        "calibration.json": "is a calibration of gtcal, not the manifest of a recording",
         "lollypop": "this is a recording of a Lollypop",
     }
     for name, message in told.items():

@@ -9,6 +9,7 @@ from typing import Any, TypeVar
 
 from gtcal.documents import check_extent, read_text
 from gtcal.errors import GtcalError
+from gtcal.files import is_there
 
 T = TypeVar("T")
 
@@ -18,7 +19,7 @@ def read_result(path: Path, kind: str, schema_version: int, parse: Callable[[dic
 
     Raises GtcalError for a file that is missing, no JSON, of a newer schema, or where ``parse`` misses a field or finds
     one of the wrong form."""
-    if path.is_dir():
+    if is_there(path) and path.is_dir():
         raise GtcalError(f"{path}: is a folder; expected a {kind} of gtcal, a JSON file")
     document = _read_json(path, kind)
     check_extent(path, document)
