@@ -52,3 +52,7 @@ def in_order(function: Callable[[T], R], items: Iterable[T]) -> Iterator[R]:
 @cache
 def _threads() -> ThreadPoolExecutor:
     return ThreadPoolExecutor(n_cores(), "gtcal", initializer=setattr, initargs=(_thread, "shares", True))
+
+
+if hasattr(os, "register_at_fork"):  # a child has none of its parent's threads, and would wait for them
+    os.register_at_fork(after_in_child=_threads.cache_clear)

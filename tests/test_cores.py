@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import multiprocessing
+import os
 import threading
+from concurrent.futures import ProcessPoolExecutor
 
 import pytest
 
@@ -53,3 +56,16 @@ def test_what_fails_is_raised_where_it_is_asked_for(n: int) -> None:
     assert [next(results) for _ in range(3)] == [0, 1, 2]
     with pytest.raises(ValueError, match="three"):
         next(results)
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="there is no fork on this system")
+def test_a_forked_process_shares_work_with_threads_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cores, "n_cores", lambda: 4)
+    cores._threads.cache_clear()
+    assert list(in_order(abs, range(20))) == list(range(20))  # its parent has threads
+    with ProcessPoolExecutor(1, multiprocessing.get_context("fork")) as pool:
+        assert pool.submit(_in_order, 20).result(timeout=60) == list(range(20))
+
+
+def _in_order(n: int) -> list[int]:
+    return list(in_order(abs, range(n)))
