@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from functools import cache
 from threading import local
@@ -34,10 +34,11 @@ def n_cores_here() -> int:
     return 1 if getattr(_thread, "shares", False) else n_cores()
 
 
-def in_order(function: Callable[[T], R], items: Iterable[T]) -> Iterator[R]:
+def in_order(function: Callable[[T], R], items: Collection[T]) -> Iterator[R]:
     """``function`` of each item, in their order, on all cores, at most one for each core ahead of the one that is asked
-    for. For work whose time goes into code that runs side by side: compiled kernels, numpy."""
-    if n_cores_here() == 1:
+    for; of a single item here, which may share its own work. For work whose time goes into code that runs side by
+    side: compiled kernels, numpy."""
+    if len(items) < 2 or n_cores_here() == 1:
         yield from map(function, items)
         return
     ahead: deque[Future[R]] = deque()

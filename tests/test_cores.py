@@ -31,6 +31,10 @@ def test_a_thread_that_shares_work_shares_its_own_with_none(n: int) -> None:
     assert within == [(1, [0, 1, 2])] * 8
 
 
+def test_a_single_item_shares_its_own_work(n: int) -> None:
+    assert list(in_order(lambda _: n_cores_here(), [0])) == [n]
+
+
 def test_no_more_is_begun_ahead_than_there_are_cores(n: int) -> None:
     begun = []
     lock = threading.Lock()

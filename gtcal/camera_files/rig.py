@@ -81,8 +81,8 @@ class Rig:
     ref: the frame's name, letters, digits and _ / . - only. ref_words: what it is.
     unposed: why no camera has a pose; empty where all have.
     body_T_board: (4, 4) of a calibration. other_boards: by name, the same of those beside it.
-    Raises GtcalError where a camera's name can be none, two have the same, only some have a pose, or ref is no name of
-    a frame."""
+    Raises GtcalError where a camera's or a board's name can be none, two cameras have the same, only some have a pose,
+    or ref is no name of a frame."""
 
     cameras: tuple[RigCamera, ...]
     ref: str
@@ -94,6 +94,8 @@ class Rig:
     def __post_init__(self) -> None:
         if not re.fullmatch(r"[A-Za-z0-9_/.-]+", self.ref):
             raise GtcalError(f"the frame {self.ref!r} of the cameras: a frame's name has letters, digits, _ / . - only")
+        for board in self.other_boards:
+            check_name("board", board)
         names = [camera.name for camera in self.cameras]
         for name in names:
             check_name("camera", name)
